@@ -121,7 +121,15 @@ class Rig:
 
     def pushed(self, start_s: float) -> float:
         """Part of the time with exactly the current of the push; a holding servo passes through it for a millisecond."""
-        return float(np.mean(np.isclose(self.currents("joint3", start_s), QUANTISED_A, atol=1e-9)))
+        return float(
+            np.mean(
+                np.isclose(
+                    self.currents("joint3", start_s),
+                    QUANTISED_A,
+                    atol=1e-9,
+                )
+            )
+        )
 
     def all_zero(self, start_s: float, duration_s: float = 0.1) -> bool:
         """Not for long: a limp arm soon falls faster than 4.8 rad/s, where back-EMF beats the supply and current flows again."""
@@ -195,7 +203,8 @@ def test_a_command_drives_with_the_quantised_current_until_its_deadline(rig: Rig
     last_s = rig.clock.now() - CYCLE_S
     assert samples[-1].commanded_A["joint3"] == pytest.approx(QUANTISED_A)
     assert samples[-1].commanded_A["joint2"] == 0.0
-    assert rig.driver.modes["joint3"] == "driven" and rig.driver.modes["joint2"] == "held"
+    assert rig.driver.modes["joint3"] == "driven"
+    assert rig.driver.modes["joint2"] == "held"
     rig.run(0.3)
     driven = rig.currents("joint3", start_s + 0.04, last_s)
     assert len(driven) > 150 and np.allclose(driven, QUANTISED_A, atol=1e-9), "every millisecond"
@@ -231,7 +240,8 @@ def test_zero_after_the_deadline(rig: Rig) -> None:
 def test_a_joint_that_is_no_longer_commanded_is_held_at_once(rig: Rig) -> None:
     rig.run(0.05, {"joint3": PUSH_A, "joint4": -0.05})
     rig.run(0.03, {"joint4": -0.05})
-    assert rig.driver.modes["joint3"] == "held" and rig.driver.modes["joint4"] == "driven"
+    assert rig.driver.modes["joint3"] == "held"
+    assert rig.driver.modes["joint4"] == "driven"
     assert not rig.said("no current command")
 
 
@@ -305,20 +315,23 @@ def test_a_zero_after_a_push_is_driven(rig: Rig) -> None:
     rig.run(0.05, {"joint4": -0.05})
     zero_s = rig.clock.now()
     samples = rig.run(0.08, {"joint4": 0.0, "joint3": 0.0})
-    assert rig.driver.modes["joint4"] == "driven" and samples[-1].commanded_A["joint4"] == 0.0
+    assert rig.driver.modes["joint4"] == "driven"
+    assert samples[-1].commanded_A["joint4"] == 0.0
     assert rig.driver.modes["joint3"] == "held"
     assert not np.any(rig.currents("joint4", zero_s + 2 * CYCLE_S + 0.015))
     assert rig.driver.limp
     rig.driver.command_currents({})
     rig.cycle()
-    assert not rig.driver.limp and rig.driver.modes["joint4"] == "held"
+    assert not rig.driver.limp
+    assert rig.driver.modes["joint4"] == "held"
 
 
 def test_a_joint_is_without_torque_while_it_swings_and_all_are_when_torque_is_off(rig: Rig) -> None:
     rig.cycle()
     assert not rig.driver.limp
     rig.run(0.05, {"joint4": -0.01})
-    assert rig.driver.modes["joint4"] == "driven" and not rig.driver.limp
+    assert rig.driver.modes["joint4"] == "driven"
+    assert not rig.driver.limp
     rig.run(0.05, {"joint4": 0.0})
     assert rig.driver.limp
     rig.run(rig.driver.settings.command_timeout_s + 0.05)
@@ -341,14 +354,16 @@ def test_one_sender_drives_until_it_ends(rig: Rig) -> None:
             "joint3: driven by another publisher"
         )
     rig.cycle()
-    assert driver.modes["joint3"] == "driven" and driver.modes["joint4"] == "held"
+    assert driver.modes["joint3"] == "driven"
+    assert driver.modes["joint4"] == "held"
     # zero by the one who drives keeps the lease, nothing at all ends it
     assert driver.command_currents({"joint3": 0.0}, sender=1) == ""
     assert "another publisher" in driver.command_currents({"joint4": -0.05}, sender=2)
     assert driver.command_currents({}, sender=1) == ""
     assert driver.command_currents({"joint4": -0.05}, sender=2) == ""
     rig.run(0.03)
-    assert driver.modes["joint3"] == "held" and driver.modes["joint4"] == "driven"
+    assert driver.modes["joint3"] == "held"
+    assert driver.modes["joint4"] == "driven"
 
 
 def test_what_was_sent_before_torque_came_on_is_refused(rig: Rig) -> None:
@@ -410,7 +425,8 @@ def test_told_to_hold_in_mid_push(rig: Rig) -> None:
     rig.driver.hold()
     told_s = rig.clock.now()
     rig.run(0.1)
-    assert set(rig.driver.modes.values()) == {"held"} and rig.driver.state is BusState.RUNNING
+    assert set(rig.driver.modes.values()) == {"held"}
+    assert rig.driver.state is BusState.RUNNING
     assert rig.pushed(told_s + 2 * CYCLE_S + 0.015) < 0.3
     assert not rig.said("no current command")
 
@@ -436,7 +452,11 @@ def test_a_position_below_the_table_is_refused(rig: Rig) -> None:
 
 def test_the_way_does_not_lead_through_the_table(rig: Rig) -> None:
     """Both ends are high enough, but one joint arrives before the other."""
-    before = {"joint2": -0.23, "joint3": 1.09, "joint4": -1.09}
+    before = {
+        "joint2": -0.23,
+        "joint3": 1.09,
+        "joint4": -1.09,
+    }
     after = {"joint2": 1.22, "joint3": -1.17, "joint4": 0.13}
     assert rig.driver.command_positions(before) == ""
     rig.run(1.2)
@@ -486,7 +506,8 @@ def test_a_joint_at_its_limit_is_not_driven_further(rig: Rig) -> None:
 @with_settings(max_velocity_rad_s=0.5)
 def test_a_joint_that_is_too_fast_is_braked(rig: Rig) -> None:
     samples = rig.run(0.3, {"joint4": -0.3})
-    assert rig.said("joint4 turns at") and rig.said("faster than 0.5; held")
+    assert rig.said("joint4 turns at")
+    assert rig.said("faster than 0.5; held")
     assert rig.driver.modes["joint4"] == "held", "and stays so while the commands go on"
     assert abs(samples[-1].velocity["joint4"]) < 0.2
     rig.run(0.15)
@@ -521,7 +542,8 @@ def test_an_encoder_that_jumped_ends_the_way_until_a_person_has_looked(rig: Rig)
         rig.driver.command_positions(goal),
         rig.driver.command_currents({"joint3": PUSH_A}),
     ):
-        assert "joint2: its encoder jumped from" in refused and "~/torque true" in refused
+        assert "joint2: its encoder jumped from" in refused
+        assert "~/torque true" in refused
     rig.run(0.5)
     assert abs(rig.position()["joint2"] - there) < 0.02
     rig.driver.set_torque(True)
@@ -534,9 +556,8 @@ def test_a_servo_that_overheats(rig: Rig) -> None:
     rig.virtual.set_fault("overheat=joint3")
     rig.run(0.1, {"joint3": PUSH_A})
     assert rig.said("joint3: its servo reports a fault and has switched itself off")
-    assert (
-        rig.driver.modes["joint3"] == "held" and rig.virtual.servos["joint3"]["torque_enable"] == 0
-    )
+    assert rig.driver.modes["joint3"] == "held"
+    assert rig.virtual.servos["joint3"]["torque_enable"] == 0
     rig.run(0.05)
     assert rig.driver.health["joint3"].faults == ("overheated: let it cool down",)
     assert "joint3: too hot to be driven" in rig.driver.command_currents({"joint3": 0.1})
@@ -544,10 +565,8 @@ def test_a_servo_that_overheats(rig: Rig) -> None:
     rig.virtual.set_fault("")
     rig.driver.set_torque(True)
     rig.until(lambda: rig.driver.health["joint3"].temperature_C < 50.0)
-    assert (
-        rig.virtual.servos["joint3"]["torque_enable"] == 1
-        and rig.driver.health["joint3"].faults == ()
-    )
+    assert rig.virtual.servos["joint3"]["torque_enable"] == 1
+    assert rig.driver.health["joint3"].faults == ()
     assert rig.driver.command_currents({"joint3": 0.1}) == ""
 
 
@@ -592,7 +611,8 @@ def test_stop_ends_every_current(rig: Rig) -> None:
     assert rig.driver.command_positions({"joint3": 0.1}).startswith("the arm is stopped")
     rig.driver.set_torque(True)
     rig.run(0.1)
-    assert rig.driver.state.value == "running" and set(rig.driver.modes.values()) == {"held"}
+    assert rig.driver.state.value == "running"
+    assert set(rig.driver.modes.values()) == {"held"}
     assert rig.driver.command_currents({"joint3": PUSH_A}) == ""
 
 
@@ -707,7 +727,8 @@ def test_the_process_dies_while_it_pushes(rig: Rig) -> None:
     assert np.allclose(rig.currents("joint3", died_s, died_s + 0.15), QUANTISED_A, atol=1e-9)
     assert rig.all_zero(died_s + rig.driver.settings.watchdog_s + 0.02)
     rig.run(0.4)
-    assert rig.driver.state is BusState.RUNNING and set(rig.driver.modes.values()) == {"held"}
+    assert rig.driver.state is BusState.RUNNING
+    assert set(rig.driver.modes.values()) == {"held"}
     assert {servo["bus_watchdog"] for servo in rig.virtual.servos.values()} == {15}, (
         "the servos are awake again"
     )
@@ -779,7 +800,8 @@ def test_close_releases(rig: Rig) -> None:
     rig.clock.sleep(0.1)
     assert {servo["torque_enable"] for servo in rig.virtual.servos.values()} == {0}
     assert rig.all_zero(closed_s + 0.005)
-    assert not rig.driver.bus.is_open and rig.driver.state is BusState.DISCONNECTED
+    assert not rig.driver.bus.is_open
+    assert rig.driver.state is BusState.DISCONNECTED
 
 
 def test_close_that_holds(rig: Rig) -> None:

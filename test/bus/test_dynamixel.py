@@ -80,7 +80,8 @@ def test_a_missing_and_a_wrong_servo_are_both_named(desk: Desk, plain: Dynamixel
     message = str(caught.value)
     assert "no servo 12 (joint12)" in message
     assert "servo 14 (joint14) is a model number 1030, not a XM430-W350" in message
-    assert str(desk.port.path if desk.port else "") in message and "1000000 bit/s" in message
+    assert str(desk.port.path if desk.port else "") in message
+    assert "1000000 bit/s" in message
     assert "\n" not in message
 
 
@@ -219,9 +220,8 @@ def test_states_are_in_si_and_signed(desk: Desk, bus: DynamixelBus) -> None:
         true_rad_s = desk.rotors.velocity_rad_s[0]
         true_rad = desk.rotors.angle_rad[0]
     assert states["joint11"].current_A == pytest.approx(-40 * 0.00269)
-    assert true_rad_s < -0.5 and states["joint11"].velocity_rad_s == pytest.approx(
-        true_rad_s, rel=0.2
-    )
+    assert true_rad_s < -0.5
+    assert states["joint11"].velocity_rad_s == pytest.approx(true_rad_s, rel=0.2)
     assert states["joint11"].angle_rad == pytest.approx(true_rad, abs=0.03)
     for index, servo_id in enumerate(IDS[1:], start=1):
         assert states[f"joint{servo_id}"].angle_rad == pytest.approx(0.2 * (index + 1), abs=0.002)
@@ -267,7 +267,8 @@ def test_single_registers_survive_lost_answers(desk: Desk, bus: DynamixelBus) ->
         except BusError as error:
             assert "corrupted" in str(error) or "no answer" in str(error)
     here = XM430_W350.counts_of_position(0.4)
-    assert len(values) > 90 and all(abs(value - here) <= 1 for value in values)
+    assert len(values) > 90
+    assert all(abs(value - here) <= 1 for value in values)
 
 
 # as long as what is late, and longer
@@ -276,11 +277,9 @@ def test_an_answer_that_comes_late_is_not_the_next_one_s(
     desk: Desk, bus: DynamixelBus, next_one: str
 ) -> None:
     """The first is given up and asked for again; it comes then, and the second when something else is asked for."""
-    receive, seen, late_s = (
-        desk.wire.receive,
-        list[bytes](),
-        (PATIENCE_S + 0.004, *[PATIENCE_S - 0.005] * 2),
-    )
+    receive = desk.wire.receive
+    seen = list[bytes]()
+    late_s = (PATIENCE_S + 0.004, *[PATIENCE_S - 0.005] * 2)
 
     def slow(data: bytes, now_s: float) -> list:  # type: ignore[type-arg]
         more_s = late_s[len(seen)] if len(seen) < len(late_s) else 0.0
@@ -311,7 +310,8 @@ def test_the_alert_bit(desk: Desk, bus: DynamixelBus) -> None:
 
 
 def test_health(desk: Desk, bus: DynamixelBus) -> None:
-    desk.servos[12].supply_voltage_V, desk.servos[12].temperature_C = 11.4, 44.0
+    desk.servos[12].supply_voltage_V = 11.4
+    desk.servos[12].temperature_C = 44.0
     desk.clock.sleep(0.02)
     health = bus.health(12)
     assert health.voltage_V == pytest.approx(11.4)
@@ -356,7 +356,8 @@ def test_a_refusal_says_why(bus: DynamixelBus) -> None:
 def test_release_with_a_dead_servo(desk: Desk, bus: DynamixelBus) -> None:
     hang(desk, 12)
     problems = bus.release()
-    assert len(problems) == 1 and "servo 12" in problems[0]
+    assert len(problems) == 1
+    assert "servo 12" in problems[0]
     assert [servo["torque_enable"] for servo in desk.servos.values()] == [0, 1, 0, 0, 0]
 
 
@@ -382,7 +383,8 @@ def test_an_unplugged_port(desk: Desk, plain: DynamixelBus, call: str) -> None:
     plugged(desk, False)
     with pytest.raises(PortLostError) as caught:
         CALLS[call](plain)
-    assert "\n" not in str(caught.value) and "check the cable" in str(caught.value)
+    assert "\n" not in str(caught.value)
+    assert "check the cable" in str(caught.value)
     assert not plain.is_open
     with pytest.raises(PortLostError, match="not open"):
         CALLS[call](plain)

@@ -28,7 +28,9 @@ def test_a_current_is_a_limit_with_a_goal_far_away_in_its_direction(
     current_A: float, side: int
 ) -> None:
     one = joint()
-    one.mode, one.commanded_A, one.angle_rad = JointMode.DRIVEN, current_A, 0.5
+    one.mode = JointMode.DRIVEN
+    one.commanded_A = current_A
+    one.angle_rad = 0.5
     here = XM430_W350.counts_of_position(0.5)
     assert one.goal(stopped=False) == Goal(
         abs(XM430_W350.counts_of_current(current_A)), here + side * FAR_COUNTS
@@ -40,7 +42,9 @@ def test_a_current_is_a_limit_with_a_goal_far_away_in_its_direction(
 
 def test_a_joint_is_held_where_it_was_seen_within_its_limits() -> None:
     one = joint()
-    one.mode, one.commanded_A, one.angle_rad = JointMode.DRIVEN, 0.3, one.upper_rad + 0.1
+    one.mode = JointMode.DRIVEN
+    one.commanded_A = 0.3
+    one.angle_rad = one.upper_rad + 0.1
     one.hold()
     assert (one.mode, one.commanded_A, one.goal_rad, one.target_rad) == (
         JointMode.HELD,
@@ -49,21 +53,19 @@ def test_a_joint_is_held_where_it_was_seen_within_its_limits() -> None:
         one.upper_rad,
     )
     most = XM430_W350.counts_of_current(one.current_limit_A)
-    assert (
-        one.goal(stopped=False) == Goal(most, XM430_W350.counts_of_position(one.upper_rad))
-        and not one.limp
-    )
+    assert one.goal(stopped=False) == Goal(most, XM430_W350.counts_of_position(one.upper_rad))
+    assert not one.limp
 
 
 def test_a_joint_that_is_let_go_has_no_current() -> None:
     one = joint()
     one.angle_rad = 0.2
     one.let_go()
-    assert one.limp and one.goal(stopped=False) == Goal(0, XM430_W350.counts_of_position(0.2))
+    assert one.limp
+    assert one.goal(stopped=False) == Goal(0, XM430_W350.counts_of_position(0.2))
 
 
 def test_a_current_below_half_a_count_pushes_nothing() -> None:
     one = joint()
-    assert not one.pushed_by(0.4 * XM430_W350.current_unit_A) and one.pushed_by(
-        -0.6 * XM430_W350.current_unit_A
-    )
+    assert not one.pushed_by(0.4 * XM430_W350.current_unit_A)
+    assert one.pushed_by(-0.6 * XM430_W350.current_unit_A)

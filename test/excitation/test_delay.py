@@ -26,10 +26,15 @@ class Joints:
         count_rad: float = 0.0,
         load: tuple[float, float] = (0.0, 0.0),
     ) -> None:
-        self.delay, self.time_s = Delay(2), 1.795e9
-        self._late_s, self._count_rad, self._load = delay_s, count_rad, np.array(load)
+        self.delay = Delay(2)
+        self.time_s = 1.795e9
+        self._late_s = delay_s
+        self._count_rad = count_rad
+        self._load = np.array(load)
         self._coming: deque[tuple[float, np.ndarray]] = deque()
-        self._effort, self._velocity, self.position = np.zeros(2), np.zeros(2), np.zeros(2)
+        self._effort = np.zeros(2)
+        self._velocity = np.zeros(2)
+        self.position = np.zeros(2)
         self.told: list[tuple[np.ndarray, np.ndarray]] = []
 
     def run(self, seconds: float, effort: np.ndarray) -> None:
@@ -39,7 +44,11 @@ class Joints:
                 if not self._count_rad
                 else np.rint(self.position / self._count_rad) * self._count_rad
             )
-            told = self.delay.observe(self.time_s, read.tolist(), INERTIA)
+            told = self.delay.observe(
+                self.time_s,
+                read.tolist(),
+                INERTIA,
+            )
             if told is not None:
                 self.told.append(told)
             self.delay.sent(self.time_s, effort.tolist())
@@ -63,7 +72,8 @@ class Joints:
 @pytest.mark.parametrize("delay_s", [0.003, 0.017, 0.049, 0.073])
 def test_a_nudge_shows_the_delay(delay_s: float, count_rad: float) -> None:
     joints = Joints(delay_s, count_rad)
-    assert joints.delay.delay_s is None and joints.delay.assumed_s == LONGEST_S
+    assert joints.delay.delay_s is None
+    assert joints.delay.assumed_s == LONGEST_S
     for sign in (1.0, -1.0):
         joints.nudge(np.array([4.0 * sign, 0.0]))
     assert joints.delay.delay_s == pytest.approx(delay_s, abs=0.003)
@@ -112,7 +122,8 @@ def test_nudges_go_to_and_fro_begin_with_little_and_end() -> None:
     asked = [nudge.at(100.0 + step_s * step, 0.2) for step in range(4000)]
     assert sum(asked) * step_s == pytest.approx(0.0, abs=0.03 * NUDGE_RAISED**NUDGES)
     assert max(map(abs, asked[:200])) == NUDGE_RAD_S2
-    assert nudge.over and asked[-1] == 0.0
+    assert nudge.over
+    assert asked[-1] == 0.0
 
 
 def test_a_joint_that_moves_is_nudged_no_harder() -> None:
@@ -126,7 +137,8 @@ def test_a_joint_that_moves_is_nudged_no_harder() -> None:
         hardest = max(hardest, abs(acceleration))
         velocity += acceleration * step_s
         position += velocity * step_s
-    assert nudge.over and hardest == NUDGE_RAD_S2
+    assert nudge.over
+    assert hardest == NUDGE_RAD_S2
 
 
 def test_an_encoder_that_slips_and_a_clock_that_is_set_back_pull_at_nothing() -> None:
@@ -159,5 +171,6 @@ def test_what_hangs_in_the_hand_is_pushed_against_with_as_much_more() -> None:
 def test_whoever_commands_says_how_late_and_how_fast() -> None:
     robot = load_robot("open_manipulator_x")
     controller = EffortController(robot, tuple(robot.drive_trains), "N.m")
-    assert controller.late_s == 0.0 and controller.held_kg == 0.0
+    assert controller.late_s == 0.0
+    assert controller.held_kg == 0.0
     assert 0.0 < controller.pace < 0.5, "until the arm has shown its delay it is slow"

@@ -14,7 +14,13 @@ from proprio_ros.robot import load_robot
 ROBOT = load_robot("open_manipulator_x")
 GRIPPER = "gripper_left_joint"
 ORDER = ("joint4", GRIPPER, "joint1", "joint3", "joint2")
-POSE = {"joint1": 0.0, "joint2": -0.6, "joint3": 0.4, "joint4": 0.2, GRIPPER: 0.005}
+POSE = {
+    "joint1": 0.0,
+    "joint2": -0.6,
+    "joint3": 0.4,
+    "joint4": 0.2,
+    GRIPPER: 0.005,
+}
 TORQUE = {name: drive.nominal_effort_per_current for name, drive in ROBOT.drive_trains.items()}
 
 
@@ -82,10 +88,12 @@ def test_a_push_ends_when_the_arm_is_lost() -> None:
     for step in range(1, 60):
         controller.observe(2.0 + 0.1 * step, {**POSE, "joint1": 0.01 * step})
     assert controller.commands() == [0.0] * len(ORDER)
-    assert controller.lost and not any(controller.record.values())
+    assert controller.lost
+    assert not any(controller.record.values())
     assert controller.steady() == [0.0] * len(ORDER), "also where it was lost before it was held"
     controller.begin()
-    assert not controller.lost and any(controller.commands())
+    assert not controller.lost
+    assert any(controller.commands())
 
 
 def test_a_second_sequence_does_not_drop_what_is_held() -> None:
@@ -105,19 +113,29 @@ def test_a_second_sequence_does_not_drop_what_is_held() -> None:
 def test_before_the_first_sequence_and_after_release_nothing_is_held() -> None:
     controller = EffortController(ROBOT, ORDER, "N.m")
     controller.take(push("joint3", -0.3))
-    assert not controller.holding and not any(controller.record.values())
+    assert not controller.holding
+    assert not any(controller.record.values())
     held_one = held()
-    assert held_one.release() == [0.0] * len(ORDER) and not held_one.holding
+    assert held_one.release() == [0.0] * len(ORDER)
+    assert not held_one.holding
 
 
 def test_what_cannot_be_made_is_refused() -> None:
     arm = ("joint1", "joint2", "joint3", "joint4")
-    grip = ExcitationSequence("grip", "any", (ExcitationRun(GRIPPER, 0.1, 0.5),))
+    grip = ExcitationSequence(
+        "grip",
+        "any",
+        (ExcitationRun(GRIPPER, 0.1, 0.5),),
+    )
     with pytest.raises(
         ExcitationError, match=f"grip moves {GRIPPER}, which the effort controller does not have"
     ):
         held(joints=arm).check(grip)
-    lift = ExcitationSequence("lift", "any", (ExcitationRun("joint3", 0.1, 0.5),))
+    lift = ExcitationSequence(
+        "lift",
+        "any",
+        (ExcitationRun("joint3", 0.1, 0.5),),
+    )
     held(joints=arm).check(lift)
     with pytest.raises(ExcitationError, match="joint states come 40 times a second"):
         held(rate_hz=40.0).check(lift)
@@ -144,7 +162,11 @@ def test_what_is_stated_wrong_is_named(
 
 
 def test_joint_states_in_bursts_are_refused_and_one_late_one_is_not() -> None:
-    lift = ExcitationSequence("lift", "any", (ExcitationRun("joint3", 0.1, 0.5),))
+    lift = ExcitationSequence(
+        "lift",
+        "any",
+        (ExcitationRun("joint3", 0.1, 0.5),),
+    )
     controller = held()
     controller.observe(1.45, POSE)
     for step in range(20):
@@ -152,7 +174,11 @@ def test_joint_states_in_bursts_are_refused_and_one_late_one_is_not() -> None:
     controller.check(lift)
     for step in range(500):
         stamp_s = 2.0 + 0.002 * step
-        controller.observe(stamp_s, POSE, heard_s=2.0 + 0.04 * (1 + step // 20))
+        controller.observe(
+            stamp_s,
+            POSE,
+            heard_s=2.0 + 0.04 * (1 + step // 20),
+        )
     with pytest.raises(ExcitationError, match="joint states come in bursts"):
         controller.check(lift)
 
@@ -160,7 +186,16 @@ def test_joint_states_in_bursts_are_refused_and_one_late_one_is_not() -> None:
 def test_commands_are_stamped_on_the_clock_of_the_joint_states_however_late_these_come() -> None:
     clock = RemoteClock()
     assert clock.at(5) == 5
-    late_ms = [7, 3, 9, 1, 12, 4, 8, 15]
+    late_ms = [
+        7,
+        3,
+        9,
+        1,
+        12,
+        4,
+        8,
+        15,
+    ]
     for step, late in enumerate(late_ms):
         clock.hear(10**12 + 2_000_000 * step, 2_000_000 * step + 1_000_000 * late)
     now_ns = 2_000_000 * 10

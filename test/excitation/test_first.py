@@ -34,13 +34,19 @@ def test_pushes_begin_at_gravity_and_with_little_beside(robot: Robot, tmp_path: 
     model = mujoco.MjModel.from_xml_string(urdf())
     data = mujoco.MjData(model)
     sequence = load_sequence("empty_hand", robot)
-    assert sequence.hand == "empty" and len({run.joint for run in sequence.runs}) == 2
+    assert sequence.hand == "empty"
+    assert len({run.joint for run in sequence.runs}) == 2
     for run in sequence.runs:
         data.qpos[:] = [run.start[name] for name in JOINTS]
         mujoco.mj_forward(model, data)
         column = JOINTS.index(run.joint)
         turned = np.zeros(3)
-        mujoco.mj_mulM(model, data, turned, np.eye(3)[column])
+        mujoco.mj_mulM(
+            model,
+            data,
+            turned,
+            np.eye(3)[column],
+        )
         beyond = run.current_A - data.qfrc_bias[column]
         if run.raise_by < 1.0:  # is lowered: carried a little less than it weighs
             assert 0.1 < beyond / -data.qfrc_bias[column] < 0.2
@@ -71,7 +77,8 @@ def test_ready_robots_without_sequences_have_some(name: str) -> None:
 def test_both_ways_and_both_sides(robot: Robot) -> None:
     for name in {run.joint for run in first_sequence(robot, "payload").runs}:
         runs = [run for run in first_sequence(robot, "payload").runs if run.joint == name]
-        assert len({tuple(run.start.values()) for run in runs}) == 2 and len(runs) == 4
+        assert len({tuple(run.start.values()) for run in runs}) == 2
+        assert len(runs) == 4
         assert {run.raise_by < 1.0 for run in runs} == {True, False}
 
 

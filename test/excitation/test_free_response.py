@@ -64,7 +64,8 @@ def swung(
     hand.arm.set_position(sequence.runs[0].start)
     here = hand.sample().position
     hand.waiting = type(hand.waiting)([Command(dict(here))] * len(hand.waiting))
-    machine, sample = ExcitationMachine(ROBOT, guards), hand.sample()
+    machine = ExcitationMachine(ROBOT, guards)
+    sample = hand.sample()
     machine.start(sequence, sample)
     ticks: list[Tick] = []
     after = 20
@@ -92,7 +93,8 @@ def swung(
 
 def assert_held_at_last(machine: ExcitationMachine, ticks: list[Tick]) -> None:
     """All joints have a place, and stand there."""
-    assert not machine.busy and ticks[-1].command == Command(dict(machine.command.position))
+    assert not machine.busy
+    assert ticks[-1].command == Command(dict(machine.command.position))
     assert abs(ticks[-1].true_rad_s) < 0.02
     for name, goal in machine.command.position.items():
         assert ticks[-1].sample.position[name] == pytest.approx(goal, abs=0.05), name
@@ -159,7 +161,8 @@ def test_a_swing_that_would_leave_the_limits_is_refused_before_anything_moves() 
                 replace(ONCE, runs=(run,), **more),
                 Hand(1, None).sample(),
             )
-        assert machine.phase is Phase.IDLE and not machine.command.current_A
+        assert machine.phase is Phase.IDLE
+        assert not machine.command.current_A
 
     high = {"joint2": 0.0, "joint3": 0.42}
     refused(
@@ -174,7 +177,11 @@ def test_a_swing_that_would_leave_the_limits_is_refused_before_anything_moves() 
     refused(
         r"would come .* cm above the base's plane", {**high, WRIST: 0.62}, min_clearance_m=0.029
     )
-    refused(r"may reach \d\.\d rad/s", {**high, WRIST: 0.62}, guards=Guards(max_velocity_rad_s=2.0))
+    refused(
+        r"may reach \d\.\d rad/s",
+        {**high, WRIST: 0.62},
+        guards=Guards(max_velocity_rad_s=2.0),
+    )
     refused("gravity does not move joint1", high, "joint1")
 
 
@@ -228,9 +235,8 @@ def test_swings_and_pushes_are_sequences_of_their_own(tmp_path: Path) -> None:
 
 def test_a_swing_lets_go_with_next_to_nothing_and_all_others_are_held() -> None:
     machine, ticks, _ = swung()
-    assert (
-        machine.phase is Phase.DONE and machine.message == "free_swing is done: all 1 runs are good"
-    )
+    assert machine.phase is Phase.DONE
+    assert machine.message == "free_swing is done: all 1 runs are good"
     (outcome,) = machine.outcomes
     assert (
         outcome.ended_by == "time"
@@ -241,7 +247,8 @@ def test_a_swing_lets_go_with_next_to_nothing_and_all_others_are_held() -> None:
     currents = [tick.command.current_A[WRIST] for tick in ticks if tick.phase is Phase.PROBE]
     opening = round(LET_GO_S * RATE_HZ)
     # against gravity: the driver lets go only of what it has driven
-    assert currents[:opening] == [-LEAST_CURRENT_A] * opening and not any(currents[opening:])
+    assert currents[:opening] == [-LEAST_CURRENT_A] * opening
+    assert not any(currents[opening:])
     assert len(currents) == round(1.5 * RATE_HZ)
     held = [tick.command.position for tick in ticks if tick.phase is Phase.PROBE]
     assert all(goals == held[0] and WRIST not in goals for goals in held)
@@ -260,9 +267,8 @@ def test_a_joint_is_caught_without_a_jerk_wherever_it_is(duration_s: float) -> N
     assert machine.phase is Phase.DONE
     catch = [tick for tick in ticks if tick.phase is Phase.CATCH]
     after = ticks[ticks.index(catch[-1]) + 1]
-    assert (
-        2 <= len(catch) <= LONGEST_CATCH_S * RATE_HZ and abs(after.true_rad_s) < 2.0 * CAUGHT_RAD_S
-    )
+    assert 2 <= len(catch) <= LONGEST_CATCH_S * RATE_HZ
+    assert abs(after.true_rad_s) < 2.0 * CAUGHT_RAD_S
     assert abs(catch[0].command.current_A[WRIST]) < 1e-9
     speeds = [abs(tick.true_rad_s) for tick in catch]
     # gravity goes on for the one or two cycles that the catch takes to come
@@ -276,8 +282,10 @@ def test_a_joint_is_caught_without_a_jerk_wherever_it_is(duration_s: float) -> N
 
 def test_a_stuck_joint_is_not_said_to_have_swung() -> None:
     machine, ticks, _ = swung(coulomb=0.12)
-    assert machine.phase is Phase.DONE and "run 1 moved too little" in machine.message
-    assert not machine.outcomes[0].used and len(machine.outcomes) == 1
+    assert machine.phase is Phase.DONE
+    assert "run 1 moved too little" in machine.message
+    assert not machine.outcomes[0].used
+    assert len(machine.outcomes) == 1
     assert_held_at_last(machine, ticks)
 
 
@@ -299,10 +307,12 @@ def test_a_guard_catches_the_joint_and_ends_the_sequence(
     monkeypatch.setattr(machine_module, "check_free_response", lambda *_: None)
     sequence = replace(ONCE, min_clearance_m=least_m, approach_velocity=0.6)
     machine, ticks, _ = swung(sequence, guards=guards)
-    assert machine.phase is Phase.ABORTED and machine.aborted_by == ended_by
+    assert machine.phase is Phase.ABORTED
+    assert machine.aborted_by == ended_by
     assert [(outcome.ended_by, outcome.used) for outcome in machine.outcomes] == [(ended_by, False)]
     catch = [tick for tick in ticks if tick.phase is Phase.CATCH]
-    assert len(catch) >= 2 and abs(catch[0].command.current_A[WRIST]) < 1e-9
+    assert len(catch) >= 2
+    assert abs(catch[0].command.current_A[WRIST]) < 1e-9
     assert abs(ticks[ticks.index(catch[-1]) + 1].true_rad_s) < 2.0 * CAUGHT_RAD_S
     assert_held_at_last(machine, ticks)
     limits = ROBOT.model.joint(WRIST)
@@ -326,7 +336,8 @@ def test_a_joint_that_is_caught_too_late_is_held_at_its_limit(
         ),
         guards=Guards(limit_margin_rad=0.3),
     )
-    assert machine.phase is Phase.ABORTED and machine.aborted_by == "limit"
+    assert machine.phase is Phase.ABORTED
+    assert machine.aborted_by == "limit"
     assert_held_at_last(machine, ticks)
 
 
@@ -380,9 +391,12 @@ def test_what_makes_positions_unknown_or_an_abort_holds_at_once(mishap: str, pha
         )
 
     machine, ticks, _ = swung(sequence, meddle=meddle)
-    assert done and machine.phase is Phase.ABORTED and machine.aborted_by == mishap
+    assert done
+    assert machine.phase is Phase.ABORTED
+    assert machine.aborted_by == mishap
     first = next(tick for tick in ticks if tick.phase is Phase.ABORTED)
-    assert not first.command.current_A and set(first.command.position) == set(JOINTS)
+    assert not first.command.current_A
+    assert set(first.command.position) == set(JOINTS)
     assert not any(tick.command.current_A for tick in ticks[ticks.index(first) :])
     if mishap not in ("jump", "held joint"):
         assert_held_at_last(machine, ticks)
@@ -417,8 +431,10 @@ def test_a_bus_that_stays_away_ends_it_held() -> None:
         return None if lost[0] else sample
 
     machine, ticks, _ = swung(meddle=meddle)
-    assert machine.phase is Phase.ABORTED and machine.aborted_by == "stale"
-    assert not machine.command.current_A and set(machine.command.position) == set(JOINTS)
+    assert machine.phase is Phase.ABORTED
+    assert machine.aborted_by == "stale"
+    assert not machine.command.current_A
+    assert set(machine.command.position) == set(JOINTS)
     assert all(not tick.command.current_A for tick in ticks[-20:])
 
 
@@ -437,7 +453,8 @@ def test_a_pause_while_it_is_caught_holds_it_and_costs_nothing() -> None:
         ),
         meddle=meddle,
     )
-    assert machine.phase is Phase.DONE and [outcome.used for outcome in machine.outcomes] == [True]
+    assert machine.phase is Phase.DONE
+    assert [outcome.used for outcome in machine.outcomes] == [True]
     assert_held_at_last(machine, ticks)
 
 
@@ -481,7 +498,8 @@ def test_what_lets_go_and_what_catches_are_no_probes() -> None:
     runs = cut_runs(recording, joints=JOINTS)
     assert [(run.joint, run.free) for run in runs] == [(WRIST, True)]
     began = next(tick.sample for tick in ticks if tick.phase is Phase.PROBE)
-    assert 0.09 < 1e-9 * runs[0].onset_ns - began.time_s < 0.16 and runs[0].duration_s < 0.5
+    assert 0.09 < 1e-9 * runs[0].onset_ns - began.time_s < 0.16
+    assert runs[0].duration_s < 0.5
     # without the word that torque is off, a zero current may as well be that of a joint that is held
     assert not any(
         run.free for run in cut_runs(replace(recording, torque_off_ns=()), joints=JOINTS)
@@ -498,13 +516,19 @@ def test_swings_of_a_virtual_arm_tell_its_friction_and_its_rotor(seed: int) -> N
     Two and a half standard deviations: the rise of the first is 2.3 of the file's off. Before the rise counted, its viscous
     friction was 5.7 off; the third's rotor was twice too heavy, where the search had not arrived.
     """
-    machine, ticks, hand = swung(SEQUENCE, coulomb=None, seed=seed)
-    assert machine.phase is Phase.DONE and all(outcome.used for outcome in machine.outcomes)
+    machine, ticks, hand = swung(
+        SEQUENCE,
+        coulomb=None,
+        seed=seed,
+    )
+    assert machine.phase is Phase.DONE
+    assert all(outcome.used for outcome in machine.outcomes)
     learnt = calibrate(
         ROBOT,
         [LoadedRun(run) for run in cut_runs(recorded(ticks), joints=JOINTS)],
     )
-    assert learnt.verdict.value == "accepted" and len(learnt.run_fits) == 4
+    assert learnt.verdict.value == "accepted"
+    assert len(learnt.run_fits) == 4
     truth = hand.arm.truth.joints[WRIST]
     found = {row.kind: row for row in learnt.unknowns if row.scope == WRIST}
     for kind in ("coulomb", "viscous", "armature"):

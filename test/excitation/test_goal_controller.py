@@ -32,7 +32,13 @@ POSE = {
     "gripper": 0.2,
 }
 PUSH = ExcitationRun("elbow_flex", 0.0, 0.4, goal_step=-0.25)
-QUICK = ExcitationSequence("quick", "any", (PUSH,), settle_s=0.3, brake_s=0.2)
+QUICK = ExcitationSequence(
+    "quick",
+    "any",
+    (PUSH,),
+    settle_s=0.3,
+    brake_s=0.2,
+)
 
 
 def held() -> GoalController:
@@ -69,7 +75,8 @@ def test_goals_are_whole_in_the_controllers_order_and_ahead_by_what_gravity_take
         Command({}, {"elbow_flex": 0.1}),
     ):
         controller.take(command)
-        assert len(controller.commands()) == len(ORDER) and np.isfinite(controller.commands()).all()
+        assert len(controller.commands()) == len(ORDER)
+        assert np.isfinite(controller.commands()).all()
 
 
 def test_the_record_is_what_was_sent_and_only_while_it_holds() -> None:
@@ -213,7 +220,12 @@ def test_currents_are_for_others_and_goals_not_for_them() -> None:
 def test_steps_that_no_servo_should_make_are_refused(
     tmp_path: Any, run: dict[str, Any], words: str
 ) -> None:
-    given = {"joint": "elbow_flex", "duration_s": 0.4, "goal_step": -0.25, **run}
+    given = {
+        "joint": "elbow_flex",
+        "duration_s": 0.4,
+        "goal_step": -0.25,
+        **run,
+    }
     path = tmp_path / "steps.yaml"
     path.write_text(f"excitation: {{hand: any, min_clearance_m: 0.05, runs: [{given}]}}")
     with pytest.raises(ConfigurationError, match=words):
@@ -242,9 +254,11 @@ class Arm:
         )
         if payload_kg:
             self.put_into_hand(payload_kg)
-        self.machine, self.controller = ExcitationMachine(ROBOT), GoalController(ROBOT, ORDER)
+        self.machine = ExcitationMachine(ROBOT)
+        self.controller = GoalController(ROBOT, ORDER)
         self.states = JointStates(JOINTS, self.machine.guards.stale_after_s)
-        self.time_s, self.goals = 10.0, [0.0]
+        self.time_s = 10.0
+        self.goals = [0.0]
         self.sample = self.seen()
         self.machine.start(sequence, self.sample)
         self.controller.begin()
@@ -297,9 +311,8 @@ def test_a_step_pushes_and_at_its_end_the_joint_is_held_where_it_is() -> None:
     before = arm.driver.arm.position()["elbow_flex"]
     arm.until(Phase.BRAKE)
     seen = arm.machine.command.position["elbow_flex"]
-    assert (
-        seen == pytest.approx(arm.sample.position["elbow_flex"], abs=0.02) and seen < before - 0.1
-    )
+    assert seen == pytest.approx(arm.sample.position["elbow_flex"], abs=0.02)
+    assert seen < before - 0.1
     arm.until(Phase.DONE)
     assert [(outcome.ended_by, outcome.used) for outcome in arm.machine.outcomes] == [
         ("time", True)
@@ -346,7 +359,8 @@ def test_a_joint_that_is_too_fast_or_gives_way_ends_it() -> None:
     arm.until(Phase.PROBE)
     arm.put_into_hand(1.0)
     arm.until(Phase.ABORTED)
-    assert arm.machine.aborted_by == "held joint" and "gave way" in arm.machine.abort_reason
+    assert arm.machine.aborted_by == "held joint"
+    assert "gave way" in arm.machine.abort_reason
 
 
 @pytest.mark.long
@@ -356,7 +370,8 @@ def test_lost_joint_states_end_a_step() -> None:
     arm.tick()
     for _ in range(6):
         arm.tick(heard=False)
-    assert arm.machine.phase is Phase.BRAKE and arm.machine.outcomes[-1].ended_by == "stale"
+    assert arm.machine.phase is Phase.BRAKE
+    assert arm.machine.outcomes[-1].ended_by == "stale"
     assert not arm.machine.command.stepped
 
 

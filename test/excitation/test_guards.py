@@ -16,12 +16,22 @@ from proprio_ros.robot import load_robot
 
 ROBOT = load_robot("open_manipulator_x")
 WAYS = Ways(ROBOT)
-POSE = {"joint1": 0.0, "joint2": -0.8, "joint3": 0.4, "joint4": 0.3, "gripper_left_joint": 0.004}
+POSE = {
+    "joint1": 0.0,
+    "joint2": -0.8,
+    "joint3": 0.4,
+    "joint4": 0.3,
+    "gripper_left_joint": 0.004,
+}
 SEQUENCE = load_sequence("payload_elbow", ROBOT)
 
 
 def sample(**position: float) -> JointSample:
-    return JointSample(1.0, {**POSE, **position}, dict.fromkeys(POSE, 0.0))
+    return JointSample(
+        1.0,
+        {**POSE, **position},
+        dict.fromkeys(POSE, 0.0),
+    )
 
 
 def test_a_good_sample_may_be_started_from() -> None:
@@ -49,9 +59,17 @@ def test_a_bad_sample_is_refused_with_what_is_wrong_with_it(bad: JointSample, wo
 
 def test_an_arm_may_lean_on_its_stop_and_not_be_beyond_it() -> None:
     upper = ROBOT.model.joint("joint3").upper
-    check_start(sample(joint3=upper + 0.04), WAYS, Guards(limit_margin_rad=0.05))
+    check_start(
+        sample(joint3=upper + 0.04),
+        WAYS,
+        Guards(limit_margin_rad=0.05),
+    )
     with pytest.raises(ExcitationError, match=r"joint3 reads .* outside its limits"):
-        check_start(sample(joint3=upper + 0.06), WAYS, Guards(limit_margin_rad=0.05))
+        check_start(
+            sample(joint3=upper + 0.06),
+            WAYS,
+            Guards(limit_margin_rad=0.05),
+        )
 
 
 def test_a_step_of_the_goal_stays_inside_the_limits() -> None:

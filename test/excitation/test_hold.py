@@ -40,9 +40,15 @@ class HeldArm:
             n: replace(j, coulomb=coulomb, viscous=0.0, load_friction=0.0)
             for n, j in truth.joints.items()
         }
-        self.driver = EffortDriver(ROBOT, replace(truth, joints=joints), seed=seed)
+        self.driver = EffortDriver(
+            ROBOT,
+            replace(truth, joints=joints),
+            seed=seed,
+        )
         self.hold = Hold(ROBOT, JOINTS)
-        self.rate_hz, self.sign, self.time_s = rate_hz, sign, 10.0
+        self.rate_hz = rate_hz
+        self.sign = sign
+        self.time_s = 10.0
         self.waiting: deque[dict[str, float]] = deque()
         self.goal: dict[str, float] = {}
         self.efforts: list[list[float]] = []
@@ -200,7 +206,8 @@ def test_a_joint_that_was_pushed_has_as_long_to_come_back_as_its_hold_is_soft(
         hold.efforts({"joint2": 0.1})
     rest(hold, away, after_s, time_s + 0.1)
     hold.efforts({})
-    assert ("joint2 is 0.70 rad" in hold.lost) is lost and bool(hold.lost) is lost
+    assert ("joint2 is 0.70 rad" in hold.lost) is lost
+    assert bool(hold.lost) is lost
 
 
 def test_blind_efforts_are_gravity_and_what_was_summed_up() -> None:
@@ -316,11 +323,9 @@ def test_a_joint_that_is_lost_after_a_pause_says_how_long_it_was(pause_s: float,
     for number in range(1, 6):  # 20 rad/s
         hold.observe(time_s + 0.002 * number, {**here, "joint2": 0.04 * number})
     assert not any(hold.efforts({}).values())
-    assert (
-        "joint2 moves at" in hold.lost
-        and said in hold.lost
-        and ("paused" in hold.lost) == bool(said)
-    )
+    assert "joint2 moves at" in hold.lost
+    assert said in hold.lost
+    assert ("paused" in hold.lost) == bool(said)
     # a second later it is not the pause
     late = Hold(ROBOT, JOINTS)
     time_s = rest(late, here) + 0.09
@@ -329,4 +334,5 @@ def test_a_joint_that_is_lost_after_a_pause_says_how_long_it_was(pause_s: float,
     late.observe(time_s + 0.002, {**here, "joint2": 0.2})
     late.observe(time_s + 0.004, {**here, "joint2": 0.4})
     late.efforts({})
-    assert "joint2" in late.lost and "paused" not in late.lost
+    assert "joint2" in late.lost
+    assert "paused" not in late.lost

@@ -53,21 +53,17 @@ class Desk:
         busy: Busy,
         period_s: float = 2e-3,
     ) -> None:
-        self.robot, self.arm, self.time_s, self.period_s = (
-            robot,
-            ForeignArm(seed, busy=busy),
-            10.0,
-            period_s,
-        )
+        self.robot = robot
+        self.arm = ForeignArm(seed, busy=busy)
+        self.time_s = 10.0
+        self.period_s = period_s
         guards = Guards()
         self.machine = ExcitationMachine(
             robot, replace(guards, patience_s=3.0 * guards.stale_after_s)
         )
         self.controller = EffortController(robot, ORDER, "N.m")
-        self._states, self._next_s = (
-            JointStates(self.machine.joints, guards.stale_after_s),
-            self.time_s,
-        )
+        self._states = JointStates(self.machine.joints, guards.stale_after_s)
+        self._next_s = self.time_s
         self._sample: JointSample | None = None
         self._sent: list[float] | None = None
         self._heard: list[tuple[int, list[float]]] = []
@@ -181,13 +177,18 @@ def test_an_arm_whose_efforts_come_late_makes_its_first_pushes_and_is_learnt(
     for row in learnt.unknowns:
         if row.kind == "torque_constant":
             truth = desk.arm.scale[JOINTS.index(str(row.scope))]
-            assert abs(row.value - truth) < 3.0 * row.std < 0.05 and abs(row.value - truth) < 0.015
+            assert abs(row.value - truth) < 3.0 * row.std < 0.05
+            assert abs(row.value - truth) < 0.015
 
 
 @pytest.mark.long
 def test_who_takes_commands_may_stall_in_mid_braking(robot: Robot) -> None:
     """For 0.2 s the last effort stays; a brake as hard as the motor threw the arm back, and it was let go."""
-    desk = Desk(robot, 4, replace(Busy.draw(4), every_s=3.0))
+    desk = Desk(
+        robot,
+        4,
+        replace(Busy.draw(4), every_s=3.0),
+    )
     desk.run(0.5)
     for _ in range(3):  # a stall may cost a sequence, and never the arm
         desk.make("empty")

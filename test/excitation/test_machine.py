@@ -32,7 +32,13 @@ GRIPPER = "gripper_left_joint"
 FINGER = 0.01149  # m per rad of its motor
 COUNT_RAD = 0.001534
 VELOCITY_COUNT_RAD_S = 0.024
-HOME = {"joint1": 0.2, "joint2": -0.8, "joint3": 0.4, "joint4": 0.3, GRIPPER: 0.004}
+HOME = {
+    "joint1": 0.2,
+    "joint2": -0.8,
+    "joint3": 0.4,
+    "joint4": 0.3,
+    GRIPPER: 0.004,
+}
 QUICK = ExcitationSequence(
     "quick", "any", (ExcitationRun("joint3", -0.3, 0.6),), settle_s=0.3, brake_s=0.1
 )
@@ -86,7 +92,8 @@ class Arm:
         }
 
     def step(self, command: Command, duration_s: float) -> JointSample:
-        goals, self.waiting = self.waiting, command
+        goals = self.waiting
+        self.waiting = command
         for _ in range(round(duration_s / self.STEP_S)):
             weight = self.weight()
             for name in JOINTS:
@@ -155,7 +162,14 @@ def drive(
         meddle(arm)
         command = machine.tick(arm.time_s, sample)
         check_command(machine, command, machine.phase)
-        ticks.append(Tick(machine.phase, command, machine.fraction, sample))
+        ticks.append(
+            Tick(
+                machine.phase,
+                command,
+                machine.fraction,
+                sample,
+            )
+        )
         sample = arm.step(command, 1.0 / rate_hz)
         assert len(ticks) < 400 * rate_hz
     return ticks
@@ -178,13 +192,13 @@ def test_a_calibrations_runs(rate_hz: float) -> None:
         run = sequence.runs[outcome.run_number - 1]
         shaft = ROBOT.drive_trains[run.joint].transmission
         assert run.min_travel <= outcome.travel <= run.max_travel + 6.0 * shaft / rate_hz
-        assert (
-            outcome.ended_by in ("time", "travel")
-            and outcome.duration_s <= run.duration_s + 1.0 / rate_hz
-        )
+        assert outcome.ended_by in ("time", "travel")
+        assert outcome.duration_s <= run.duration_s + 1.0 / rate_hz
     assert {outcome.ended_by for outcome in used} == {"time", "travel"}
     fractions = [tick.fraction for tick in ticks]
-    assert fractions == sorted(fractions) and fractions[0] < 0.01 and fractions[-1] == 1.0
+    assert fractions == sorted(fractions)
+    assert fractions[0] < 0.01
+    assert fractions[-1] == 1.0
     # at home, but for what the servos give under the arm's weight
     assert all(
         arm.sample().position[name] == pytest.approx(HOME[name], abs=0.05) for name in JOINTS
@@ -229,7 +243,8 @@ def test_the_rest_before_a_run_is_as_long_as_stated_and_truly_a_rest() -> None:
     phases = [tick.phase for tick in ticks]
     onset = phases.index(Phase.PROBE)
     rest = [tick.sample.position["joint3"] for tick in ticks if tick.phase is Phase.SETTLE]
-    assert len(rest) >= 1.2 * 40 - 1 and max(rest[-8:]) - min(rest[-8:]) <= 2 * COUNT_RAD
+    assert len(rest) >= 1.2 * 40 - 1
+    assert max(rest[-8:]) - min(rest[-8:]) <= 2 * COUNT_RAD
     assert phases.count(Phase.PROBE) == 24
     assert {tick.command.current_A["joint3"] for tick in ticks[onset : onset + 24]} == {-0.3}
     # other joints keep the goals they had, not where they were seen
@@ -249,13 +264,23 @@ def test_a_run_ends_at_the_nearest_tick(tick_s: float) -> None:
 
 def test_a_run_that_moves_too_little_is_made_with_more_current_until_it_moves() -> None:
     # begins, and begins again, where the joint is
-    run = ExcitationRun("joint4", -0.05, 0.6, {}, 0.8, 0.3, 1.5, 0.3)
+    run = ExcitationRun(
+        "joint4",
+        -0.05,
+        0.6,
+        {},
+        0.8,
+        0.3,
+        1.5,
+        0.3,
+    )
     machine = ExcitationMachine(ROBOT)
     arm = Arm(HOME, friction=0.03)
     machine.start(replace(QUICK, runs=(run,)), arm.sample())
     ticks = drive(machine, arm, 100.0)
     tried = [outcome.current_A for outcome in machine.outcomes]
-    assert len(tried) >= 2 and tried == pytest.approx([-0.05 * 1.5**n for n in range(len(tried))])
+    assert len(tried) >= 2
+    assert tried == pytest.approx([-0.05 * 1.5**n for n in range(len(tried))])
     assert [outcome.used for outcome in machine.outcomes] == [False] * (len(tried) - 1) + [True]
     assert [outcome.attempt for outcome in machine.outcomes] == list(range(1, len(tried) + 1))
     onsets = [
@@ -289,7 +314,8 @@ def test_raising_ends_at_the_largest_current_and_says_so() -> None:
     assert machine.phase is Phase.DONE
     first = [outcome for outcome in machine.outcomes if outcome.run_number == 1]
     assert [outcome.current_A for outcome in first] == pytest.approx([-0.05, -0.075, -0.1])
-    assert not any(outcome.used for outcome in first) and (
+    assert not any(outcome.used for outcome in first)
+    assert (
         machine.outcomes[-1].run_number,
         machine.outcomes[-1].attempt,
     ) == (2, 1)
@@ -305,7 +331,8 @@ def test_a_lowering_run_is_eased() -> None:
     machine.start(replace(QUICK, runs=(held,)), arm.sample())
     drive(machine, arm, 100.0)
     tried = [outcome.current_A for outcome in machine.outcomes]
-    assert len(tried) >= 2 and tried == pytest.approx([-0.08 * 0.5**n for n in range(len(tried))])
+    assert len(tried) >= 2
+    assert tried == pytest.approx([-0.08 * 0.5**n for n in range(len(tried))])
     assert machine.outcomes[-1].used
 
 
@@ -373,9 +400,8 @@ def test_a_pause_before_the_onset_is_no_part_of_the_wave() -> None:
         ready.tick()
     assert ready.machine.phase is Phase.SETTLE
     command = ready.tick(0.12)
-    assert ready.machine.phase is Phase.PROBE and command.current_A == pytest.approx(
-        {"joint4": 0.04}
-    )
+    assert ready.machine.phase is Phase.PROBE
+    assert command.current_A == pytest.approx({"joint4": 0.04})
 
 
 def test_another_attempt_changes_the_mean_of_a_wave_and_not_its_size() -> None:
@@ -406,7 +432,8 @@ def test_a_shaken_joint_is_guarded_like_a_pushed_one() -> None:
     )
     assert ready.tick(joint4=HOME["joint4"] + 0.09).current_A
     assert not ready.tick(joint4=HOME["joint4"] + 0.11).current_A
-    assert ready.machine.outcomes[-1].ended_by == "travel" and ready.machine.outcomes[-1].used
+    assert ready.machine.outcomes[-1].ended_by == "travel"
+    assert ready.machine.outcomes[-1].used
 
 
 def recorded(ticks: list[Tick], topic: str) -> Recording:
@@ -422,8 +449,17 @@ def recorded(ticks: list[Tick], topic: str) -> Recording:
         rows = driven | np.roll(driven, 1)  # the command that ends the current is the last one
     else:
         current = 0.00269 * np.rint(current / 0.00269)  # as sent to the servo
-    inputs = InputRecord(stamps[rows], JOINTS, current[rows], topic)
-    return Recording("shaken", JointRecord(stamps, JOINTS, np.array(positions)), inputs)
+    inputs = InputRecord(
+        stamps[rows],
+        JOINTS,
+        current[rows],
+        topic,
+    )
+    return Recording(
+        "shaken",
+        JointRecord(stamps, JOINTS, np.array(positions)),
+        inputs,
+    )
 
 
 @pytest.mark.parametrize("rate_hz", [100.0, 40.0])
@@ -433,7 +469,12 @@ def test_a_recording_of_a_shaken_joint_is_one_run_with_the_wave_in_it(
 ) -> None:
     machine = ExcitationMachine(ROBOT)
     arm = Arm(HOME)
-    second = replace(SHAKE, current_A=-0.06, shake_A=-0.14, shake_period_s=0.3)
+    second = replace(
+        SHAKE,
+        current_A=-0.06,
+        shake_A=-0.14,
+        shake_period_s=0.3,
+    )
     machine.start(
         replace(QUICK, runs=(SHAKE, second)),
         arm.sample(),
@@ -459,13 +500,20 @@ def test_a_recording_of_a_shaken_joint_is_one_run_with_the_wave_in_it(
 
 
 def test_the_gripper_counts_in_metres() -> None:
-    run = ExcitationRun(GRIPPER, -0.1, 0.5, {GRIPPER: 0.014}, max_travel=0.004)
+    run = ExcitationRun(
+        GRIPPER,
+        -0.1,
+        0.5,
+        {GRIPPER: 0.014},
+        max_travel=0.004,
+    )
     machine = ExcitationMachine(ROBOT)
     arm = Arm(HOME)
     machine.start(replace(QUICK, runs=(run,)), arm.sample())
     drive(machine, arm, 100.0)
     (outcome,) = machine.outcomes
-    assert outcome.ended_by == "travel" and 0.004 <= outcome.travel < 0.005
+    assert outcome.ended_by == "travel"
+    assert 0.004 <= outcome.travel < 0.005
 
 
 def test_a_finger_that_meets_nothing_stops_before_its_limit() -> None:
@@ -473,7 +521,8 @@ def test_a_finger_that_meets_nothing_stops_before_its_limit() -> None:
     arm = Arm(HOME)
     machine.start(load_sequence("paper_gripper", ROBOT), arm.sample())
     drive(machine, arm, 100.0)
-    assert machine.phase is Phase.ABORTED and machine.outcomes[-1].ended_by == "limit"
+    assert machine.phase is Phase.ABORTED
+    assert machine.outcomes[-1].ended_by == "limit"
     assert arm.sample().position[GRIPPER] > ROBOT.model.joint(GRIPPER).lower
 
 
@@ -508,7 +557,11 @@ def bench(
     guards: Guards | None = None,
 ):
     machine = ExcitationMachine(ROBOT, guards)
-    sample = JointSample(5.0, dict(pose), dict.fromkeys(JOINTS, 0.0))
+    sample = JointSample(
+        5.0,
+        dict(pose),
+        dict.fromkeys(JOINTS, 0.0),
+    )
     machine.start(sequence, sample)
     ready = Bench(machine, sample)
     for _ in range(3000):
@@ -521,8 +574,11 @@ def bench(
 def assert_stopped(ready: Bench, command: Command, ended_by: str, words: str) -> None:
     machine = ready.machine
     check_command(machine, command, machine.phase)
-    assert machine.phase is Phase.ABORTED and not machine.busy and command == machine.command
-    assert words in machine.abort_reason and machine.abort_reason in machine.message
+    assert machine.phase is Phase.ABORTED
+    assert not machine.busy
+    assert command == machine.command
+    assert words in machine.abort_reason
+    assert machine.abort_reason in machine.message
     assert "\n" not in machine.message
     assert [(outcome.ended_by, outcome.used) for outcome in machine.outcomes] == [(ended_by, False)]
     # and it stays so, whatever comes
@@ -581,7 +637,9 @@ def assert_lost(ready: Bench, command: Command, words: str) -> None:
     """The current is gone at that very tick; the run is given up, but not yet the sequence."""
     machine = ready.machine
     check_command(machine, command, machine.phase)
-    assert machine.phase is Phase.BRAKE and not command.current_A and words in machine.message
+    assert machine.phase is Phase.BRAKE
+    assert not command.current_A
+    assert words in machine.message
     assert [(outcome.ended_by, outcome.used) for outcome in machine.outcomes] == [("stale", False)]
 
 
@@ -592,13 +650,15 @@ def test_a_pause_of_the_loop_ends_the_current_and_the_run_is_repeated_as_it_was(
         command = ready.tick()
         if command.current_A:
             break
-    assert command.current_A == {"joint3": -0.3} and ready.machine.attempt == 2
+    assert command.current_A == {"joint3": -0.3}
+    assert ready.machine.attempt == 2
     for _ in range(MOST_LOST_RUNS - 1):
         ready.tick(later_s=0.11)
         while not ready.tick().current_A:
             assert ready.machine.busy
     ready.tick(later_s=0.11)
-    assert ready.machine.phase is Phase.ABORTED and "paused" in ready.machine.abort_reason
+    assert ready.machine.phase is Phase.ABORTED
+    assert "paused" in ready.machine.abort_reason
 
 
 def test_who_may_pause_for_long_under_a_current_may_without_one() -> None:
@@ -615,14 +675,16 @@ def test_no_sample_any_more() -> None:
     last_s = ready.sample.time_s
     for n in range(1, 11):
         assert ready.machine.tick(last_s + 0.01 * n, None).current_A
-    assert_lost(ready, ready.machine.tick(last_s + 0.11, None), "no new joint positions for 0.11 s")
+    assert_lost(
+        ready,
+        ready.machine.tick(last_s + 0.11, None),
+        "no new joint positions for 0.11 s",
+    )
     for n in range(12, 100):
         assert ready.machine.tick(last_s + 0.01 * n, None).current_A == {}
     ready.machine.tick(last_s + 1.02, None)
-    assert (
-        ready.machine.phase is Phase.ABORTED
-        and "is the driver alive?" in ready.machine.abort_reason
-    )
+    assert ready.machine.phase is Phase.ABORTED
+    assert "is the driver alive?" in ready.machine.abort_reason
 
 
 def test_samples_far_apart_lose_the_run_however_far_a_fast_joint_went_meanwhile() -> None:
@@ -674,7 +736,11 @@ def test_a_sample_that_is_repeated_grows_stale() -> None:
     frozen = ready.sample
     for n in range(1, 11):
         assert ready.machine.tick(frozen.time_s + 0.01 * n, frozen).current_A
-    assert_lost(ready, ready.machine.tick(frozen.time_s + 0.11, frozen), "no new joint positions")
+    assert_lost(
+        ready,
+        ready.machine.tick(frozen.time_s + 0.11, frozen),
+        "no new joint positions",
+    )
 
 
 def test_a_sample_that_lacks_a_joint() -> None:
@@ -725,7 +791,12 @@ def test_moving_away_from_a_limit_is_no_reason_to_stop(way: float) -> None:
 
 
 def test_the_table_ahead() -> None:
-    pose = {**HOME, "joint2": 0.0, "joint3": 0.45, "joint4": 0.0}
+    pose = {
+        **HOME,
+        "joint2": 0.0,
+        "joint3": 0.45,
+        "joint4": 0.0,
+    }
     low = clearance(ROBOT, pose)
     sequence = replace(QUICK, min_clearance_m=low - 0.03)
     ready = pushed(sequence, pose)
@@ -754,11 +825,9 @@ def test_abort_holds_at_once() -> None:
 def test_abort_without_a_sequence_does_nothing() -> None:
     machine = ExcitationMachine(ROBOT)
     machine.abort("nothing")
-    assert (
-        machine.phase is Phase.IDLE
-        and machine.tick(1.0, None) == Command()
-        and machine.run_number == 0
-    )
+    assert machine.phase is Phase.IDLE
+    assert machine.tick(1.0, None) == Command()
+    assert machine.run_number == 0
 
 
 @pytest.mark.parametrize("phase", [Phase.APPROACH, Phase.SETTLE, Phase.BRAKE, Phase.RETURN])
@@ -833,23 +902,23 @@ def test_a_joint_that_never_rests(unrest: Callable[[float], float]) -> None:
             joint3=HOME["joint3"] + unrest(ready.sample.time_s - started_s)
         ).current_A
     assert ready.sample.time_s - started_s == pytest.approx(0.3 + 2.0, abs=0.03)
-    assert (
-        "joint3 does not come to rest" in ready.machine.abort_reason and not ready.machine.outcomes
-    )
+    assert "joint3 does not come to rest" in ready.machine.abort_reason
+    assert not ready.machine.outcomes
 
 
 def test_an_arm_that_is_pushed_and_one_that_is_limp() -> None:
     def push(arm: Arm) -> None:
         arm.external = {"joint2": 8.0} if machine.phase is Phase.PROBE else {}
 
-    machine, arm = ExcitationMachine(ROBOT), Arm(HOME)
+    machine = ExcitationMachine(ROBOT)
+    arm = Arm(HOME)
     machine.start(QUICK, arm.sample())
     drive(machine, arm, 100.0, push)
-    assert (
-        machine.outcomes[-1].ended_by == "held joint" and "joint2 gave way" in machine.abort_reason
-    )
+    assert machine.outcomes[-1].ended_by == "held joint"
+    assert "joint2 gave way" in machine.abort_reason
 
-    machine, limp = ExcitationMachine(ROBOT), Arm(HOME, friction=1.0)
+    machine = ExcitationMachine(ROBOT)
+    limp = Arm(HOME, friction=1.0)
     limp.STIFFNESS = limp.DAMPING = 0.0
     machine.start(
         replace(
@@ -859,14 +928,19 @@ def test_an_arm_that_is_pushed_and_one_that_is_limp() -> None:
         limp.sample(),
     )
     drive(machine, limp, 100.0)
-    assert "joint1 does not follow" in machine.abort_reason and not machine.outcomes
+    assert "joint1 does not follow" in machine.abort_reason
+    assert not machine.outcomes
 
 
 # ---------------------------------------------------------------------------------------------------------- start
 
 
 def sample_at(**change: float) -> JointSample:
-    return JointSample(1.0, {**HOME, **change}, dict.fromkeys(JOINTS, 0.0))
+    return JointSample(
+        1.0,
+        {**HOME, **change},
+        dict.fromkeys(JOINTS, 0.0),
+    )
 
 
 def test_what_cannot_start() -> None:
@@ -882,13 +956,16 @@ def test_what_cannot_start() -> None:
     ):
         with pytest.raises(ExcitationError, match=words) as caught:
             machine.start(QUICK, sample)
-        assert "\n" not in str(caught.value) and machine.phase is Phase.IDLE
+        assert "\n" not in str(caught.value)
+        assert machine.phase is Phase.IDLE
     machine.start(QUICK, good)
     with pytest.raises(ExcitationError, match="quick is under way"):
         machine.start(QUICK, good)
     machine.abort("enough")
     machine.start(QUICK, good)
-    assert machine.busy and machine.abort_reason == "" and machine.outcomes == []
+    assert machine.busy
+    assert machine.abort_reason == ""
+    assert machine.outcomes == []
 
 
 def lowest_goal(sequence: ExcitationSequence, pose: dict[str, float]) -> float:
@@ -932,7 +1009,12 @@ def test_the_way_leads_over_a_higher_pose_where_the_straight_one_dips() -> None:
 
 
 def test_an_arm_that_lies_on_the_table_may_only_rise() -> None:
-    lying = {**HOME, "joint2": 1.0, "joint3": 0.6, "joint4": 0.2}
+    lying = {
+        **HOME,
+        "joint2": 1.0,
+        "joint3": 0.6,
+        "joint4": 0.2,
+    }
     assert clearance(ROBOT, lying) < 0.03
     rising = replace(
         QUICK,
@@ -985,7 +1067,16 @@ DISTURBANCES = st.sampled_from(
 def test_no_current_but_in_a_run_and_never_above_the_limit(
     steps: list[tuple[str, str, float]], tick_s: float
 ) -> None:
-    run = ExcitationRun("joint3", -0.3, 0.2, {}, 0.5, 0.3, 2.0, 0.9)
+    run = ExcitationRun(
+        "joint3",
+        -0.3,
+        0.2,
+        {},
+        0.5,
+        0.3,
+        2.0,
+        0.9,
+    )
     sequence = ExcitationSequence(
         "any", "any", (run, replace(run, joint="joint2")), settle_s=0.05, brake_s=0.05
     )
@@ -1024,7 +1115,16 @@ def test_no_current_but_in_a_run_and_never_above_the_limit(
 
 def test_random_disturbances_do_meet_a_current() -> None:
     """The test above says something: undisturbed, its sequence is under current within fifty ticks."""
-    run = ExcitationRun("joint3", -0.3, 0.2, {}, 0.5, 0.3, 2.0, 0.9)
+    run = ExcitationRun(
+        "joint3",
+        -0.3,
+        0.2,
+        {},
+        0.5,
+        0.3,
+        2.0,
+        0.9,
+    )
     sequence = ExcitationSequence(
         "any", "any", (run, replace(run, joint="joint2")), settle_s=0.05, brake_s=0.05
     )
@@ -1038,7 +1138,13 @@ def test_another_robot() -> None:
     (joint,) = robot.drive_trains
     run = ExcitationRun(joint, 0.1, 0.3, {joint: 0.5})
     machine = ExcitationMachine(robot)
-    sequence = ExcitationSequence("swing", "any", (run,), settle_s=0.3, min_clearance_m=0.0)
+    sequence = ExcitationSequence(
+        "swing",
+        "any",
+        (run,),
+        settle_s=0.3,
+        min_clearance_m=0.0,
+    )
     assert sequence.runs[0].max_travel == 1.0
     machine.start(
         sequence,

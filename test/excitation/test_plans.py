@@ -82,18 +82,16 @@ def test_a_calibration_moves_each_joint_both_ways(robot: Robot) -> None:
     assert len(runs) == 16
     for joint in ("joint2", "joint3", "joint4", "gripper_left_joint"):
         own = [run for run in runs if run.joint == joint]
-        assert len(own) == 4 and min(run.current_A for run in own) < 0.0 < max(
-            run.current_A for run in own
-        )
+        assert len(own) == 4
+        assert min(run.current_A for run in own) < 0.0 < max(run.current_A for run in own)
         assert all(run.min_travel == (0.003 if "gripper" in joint else 0.3) for run in own)
     assert load_sequence("empty_hand_gripper", robot).runs == runs[-4:]
 
 
 def test_a_squeeze_begins_where_the_fingers_stand_and_cannot_crush(robot: Robot) -> None:
     sequence = load_sequence("softness", robot)
-    assert sequence.from_here == ("gripper_left_joint",) and not any(
-        run.start for run in sequence.runs
-    )
+    assert sequence.from_here == ("gripper_left_joint",)
+    assert not any(run.start for run in sequence.runs)
     least = [run.min_travel for run in sequence.runs]
     assert len(least) == 3 and least == sorted(set(least)), "three levels"
     assert all(2.0 * run.max_travel / 0.03 < 0.4 for run in sequence.runs), (
@@ -153,9 +151,8 @@ def test_a_square_wave_halves_and_keeps_away_from_zero_in_every_attempt(robot: R
                 run.current_at(part * run.shake_period_s, mean_A)
                 for part in (0.51, 0.99, 1.51, 2.99)
             ]
-            assert first == pytest.approx([mean_A + run.shake_A] * 4) and second == pytest.approx(
-                [mean_A - run.shake_A] * 4
-            )
+            assert first == pytest.approx([mean_A + run.shake_A] * 4)
+            assert second == pytest.approx([mean_A - run.shake_A] * 4)
             assert min(map(abs, first + second)) >= LEAST_CURRENT_A
             mean_A = run.other_current(mean_A)
             attempts += 1
@@ -269,7 +266,8 @@ def test_mistakes_in_a_run_get_one_line(
     assert change[0] in RUN
     with pytest.raises(ConfigurationError, match=message) as caught:
         load_sequence(section(tmp_path, RUN.replace(*change)), robot)
-    assert "\n" not in str(caught.value) and "mine" in str(caught.value)
+    assert "\n" not in str(caught.value)
+    assert "mine" in str(caught.value)
 
 
 @pytest.mark.parametrize(
@@ -355,13 +353,14 @@ def test_clearance_against_the_models_transforms() -> None:
 def test_a_sequence_is_like_another_but_for_what_it_states(robot: Robot, tmp_path: Path) -> None:
     base = load_sequence("reference", robot)
     longer = load_sequence("reference_until", robot)
-    assert (
-        longer.runs == base.runs and longer.settle_s == base.settle_s and longer.until is not None
-    )
+    assert longer.runs == base.runs
+    assert longer.settle_s == base.settle_s
+    assert longer.until is not None
     path = tmp_path / "mine.yaml"
     path.write_text("excitation: {like: payload, settle_s: 2.0}\n")
     mine = load_sequence(path, robot)
-    assert mine.runs == load_sequence("payload", robot).runs and mine.settle_s == 2.0
+    assert mine.runs == load_sequence("payload", robot).runs
+    assert mine.settle_s == 2.0
     for wrong in ("payloads", "reference_until", "[payload]"):
         path.write_text(f"excitation: {{like: {wrong}}}\n")
         with pytest.raises(ConfigurationError, match="name one of the package's sequences"):

@@ -34,7 +34,11 @@ from proprio_ros.robot import Robot
 )
 def test_fingers_neither_crush_nor_stay(modulus: float) -> None:
     """From foam to hard rubber, with a gripper of little friction: 45 % is never reached, and the block is let go."""
-    hand = Hand(3, SoftBlock(modulus, gap_m=GAP_M), coulomb=0.015)
+    hand = Hand(
+        3,
+        SoftBlock(modulus, gap_m=GAP_M),
+        coulomb=0.015,
+    )
     began = hand.arm.position()[GRIPPER]
     machine, _, closed = played("softness", hand)
     assert machine.phase is Phase.DONE, machine.message
@@ -50,7 +54,12 @@ def test_moduli_within_their_intervals(seed: int) -> None:
     """Hidden torque constant, friction, armature, delay and encoder error; three squeezes of each of two blocks."""
     robot = calibrated(seed)
     for modulus, ratio in ((8e3, 0.3), (150e3, 0.4)):
-        block = SoftBlock(modulus, gap_m=GAP_M, poissons_ratio=ratio, damping=0.5)
+        block = SoftBlock(
+            modulus,
+            gap_m=GAP_M,
+            poissons_ratio=ratio,
+            damping=0.5,
+        )
         machine, estimate, _ = squeezed(robot, seed, block)
         assert estimate.verdict is Verdict.ACCEPTED, (machine.message, estimate.reasons)
         told = estimate.value("youngs_modulus")
@@ -66,11 +75,13 @@ def test_a_missing_block_is_reported() -> None:
     robot = calibrated(1)
     machine, runs, _ = played("softness", Hand(1, None))
     assert machine.phase is Phase.DONE
-    estimate = find_softness(robot, runs, BlockFacts(np.full(3, EDGE_M)))
-    assert (
-        estimate.verdict is Verdict.NOT_IDENTIFIABLE
-        and estimate.value("youngs_modulus").value is None
+    estimate = find_softness(
+        robot,
+        runs,
+        BlockFacts(np.full(3, EDGE_M)),
     )
+    assert estimate.verdict is Verdict.NOT_IDENTIFIABLE
+    assert estimate.value("youngs_modulus").value is None
     assert "is it between the fingers" in estimate.reasons[0]
 
 
@@ -118,13 +129,18 @@ def test_a_block_is_squeezed_until_it_is_sure(modulus: float, half: float) -> No
         SoftBlock(modulus, gap_m=GAP_M, poissons_ratio=0.3, damping=0.5),
     )
     began = hand.arm.position()[GRIPPER]
-    runs, decisions = until_sure(robot, hand, Until(half, "1", 40.0))
+    runs, decisions = until_sure(
+        robot,
+        hand,
+        Until(half, "1", 40.0),
+    )
     assert decisions[-1].ended_by == "target" and decisions[-1].reason.startswith("sure: +-"), (
         decisions[-1].reason
     )
     assert abs(hand.arm.position()[GRIPPER] - began) < 0.0005, "the fingers let go"
     told = find_softness(robot, runs, BlockFacts(np.full(3, EDGE_M))).value("youngs_modulus")
-    assert told.ci95[0] <= modulus <= told.ci95[1] and told.std is not None
+    assert told.ci95[0] <= modulus <= told.ci95[1]
+    assert told.std is not None
     assert 1.96 * told.std <= 1.0001 * half * told.value
     # what a squeeze told is what it promised
     promises = [(before.promised, after.half) for before, after in pairwise(decisions)]

@@ -17,7 +17,12 @@ from proprio_ros.identification.regression.motion_fit import fit_empty
 from proprio_ros.live.carrying import Capability, Carrier, Load, way
 from proprio_ros.robot import Robot, load_robot
 
-SEED, LOAD = 91, Load(1.5, 0.02, (0.03, -0.01, 0.05))
+SEED = 91
+LOAD = Load(
+    1.5,
+    0.02,
+    (0.03, -0.01, 0.05),
+)
 
 
 @pytest.fixture(scope="module")
@@ -30,7 +35,8 @@ def mujoco_bias(arm: SensingArm, pose: np.ndarray, load: Load) -> np.ndarray:
     import mujoco
 
     arm._hold((load.mass_kg, np.array(load.centre_m)) if load.mass_kg else None)
-    arm.data.qpos[:], arm.data.qvel[:] = pose, 0.0
+    arm.data.qpos[:] = pose
+    arm.data.qvel[:] = 0.0
     mujoco.mj_forward(arm.model, arm.data)
     return arm.data.qfrc_bias.copy()
 
@@ -57,10 +63,8 @@ def test_efforts_are_what_mujoco_needs_to_hold_arm_and_load(arm: tuple[Robot, Se
         truth = mujoco_bias(real, pose, LOAD) * real.scale  # as its sensors say it
         wide = bare.efforts(named(bare, pose), LOAD)
         found = calibrated.efforts(named(calibrated, pose), LOAD)
-        assert (
-            np.abs(wide[0] - truth).max() < 6.0
-            and (np.abs(wide[0] - truth) < 4.0 * wide[1] + 0.05).all()
-        )
+        assert np.abs(wide[0] - truth).max() < 6.0
+        assert (np.abs(wide[0] - truth) < 4.0 * wide[1] + 0.05).all()
         pulls.append((found[0] - truth) / found[1])
         stds.append(np.stack([found[1], wide[1]]))
     # a weight that no calibration without an object knows: the sensors' scales, of 1 %, act on the load
@@ -96,7 +100,9 @@ def test_the_heaviest_load_is_where_a_joint_reaches_its_limit(
     carrier.limits = np.full(7, 150.0)
     pose = named(carrier, np.zeros(7))  # stretched out
     found = carrier.capability([pose], LOAD)
-    assert isinstance(found, Capability) and found.joint == "axis_2" and found.most_kg > 0.0
+    assert isinstance(found, Capability)
+    assert found.joint == "axis_2"
+    assert found.most_kg > 0.0
     for mass_kg, can in ((0.99 * found.most_kg, True), (1.01 * found.most_kg, False)):
         assert carrier.capability([pose], Load(mass_kg, 0.0, LOAD.centre_m)).can is can
     efforts, stds = carrier.efforts(

@@ -27,15 +27,16 @@ def said(
 def test_it_is_wrong_no_more_often_than_it_says(std_kg: float) -> None:
     empty = said(0.0, std_kg)
     lightest = said(0.05, std_kg)
-    assert empty[True] <= 1.2 * (1.0 - TAKEN) and lightest[False] <= 1.2 * LEFT
+    assert empty[True] <= 1.2 * (1.0 - TAKEN)
+    assert lightest[False] <= 1.2 * LEFT
     if std_kg < 0.01:
-        assert empty[False] > 0.95 and lightest[True] > 0.95
+        assert empty[False] > 0.95
+        assert lightest[True] > 0.95
 
 
 def test_an_estimate_that_cannot_tell_says_nothing() -> None:
-    assert said(0.0, 0.5)[None] > 0.95 and probability_of_load(0.0, 0.5, 0.05) == pytest.approx(
-        0.5, abs=0.01
-    )
+    assert said(0.0, 0.5)[None] > 0.95
+    assert probability_of_load(0.0, 0.5, 0.05) == pytest.approx(0.5, abs=0.01)
     assert (
         probability_of_load(math.nan, 0.01, 0.05) == probability_of_load(0.1, math.inf, 0.05) == 0.5
     )
@@ -46,7 +47,9 @@ def test_a_lighter_estimate_never_makes_a_load_likelier() -> None:
         probability_of_load(mass_kg, 0.01, 0.05)
         for mass_kg in np.linspace(-30.0, 30.0, 601).tolist()
     ]
-    assert likely == sorted(likely) and likely[0] == 0.0 and likely[-1] == 1.0
+    assert likely == sorted(likely)
+    assert likely[0] == 0.0
+    assert likely[-1] == 1.0
 
 
 def test_what_was_said_stays_until_the_other_is_as_sure() -> None:
@@ -58,8 +61,6 @@ def test_what_was_said_stays_until_the_other_is_as_sure() -> None:
     assert told == [(None, 0), (True, 1), (True, 1), (False, 3), (False, 3)]
     assert holding.entries(7 * 10**9)["holding_for"] == 4.0
     holding.forget()
-    assert (
-        holding.state is None
-        and math.isnan(holding.probability)
-        and "holding_for" not in holding.entries(0)
-    )
+    assert holding.state is None
+    assert math.isnan(holding.probability)
+    assert "holding_for" not in holding.entries(0)

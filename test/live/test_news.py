@@ -14,7 +14,12 @@ STARTS_NS = 1_700_000_000 * 10**9
 
 def arrival(at_s: float, role: str = "joint_states", size: int = 100) -> Arrival:
     raw = RawMessage("/joint_states", "sensor_msgs/msg/JointState", 0, bytes(size))
-    return Arrival(role, raw, STARTS_NS + round(1e9 * at_s), at_s)
+    return Arrival(
+        role,
+        raw,
+        STARTS_NS + round(1e9 * at_s),
+        at_s,
+    )
 
 
 def filled(seconds: float, rate_hz: float) -> Backlog:
@@ -33,7 +38,9 @@ def taken(backlog: Backlog, needed: Stretch = NEEDED) -> list[float]:
 
 def test_in_step_nothing_is_left_out() -> None:
     backlog = filled(SLACK_S, 500.0)
-    assert len(taken(backlog)) == 50 and backlog.left_out == 0 and not len(backlog)
+    assert len(taken(backlog)) == 50
+    assert backlog.left_out == 0
+    assert not len(backlog)
 
 
 def test_what_waits_is_thinned_to_what_the_estimate_needs() -> None:
@@ -74,7 +81,8 @@ def test_a_supply_voltage_is_always_heard() -> None:
     backlog.put(arrival(0.0, "battery_state"))
     backlog.put(arrival(60.0))
     first = backlog.take(NEEDED)
-    assert first is not None and first.role == "battery_state"
+    assert first is not None
+    assert first.role == "battery_state"
 
 
 def lags(rows: list[tuple[float, float, float]]) -> list[float]:

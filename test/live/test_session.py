@@ -99,7 +99,11 @@ def filled(
         session.open()
     for n in range(20):
         stamp = 1_700_000_000 * 10**9 + n * 10_000_000
-        data = cdr_joint_state(stamp, list(joints), [0.1, 0.01 * n])
+        data = cdr_joint_state(
+            stamp,
+            list(joints),
+            [0.1, 0.01 * n],
+        )
         session.add("/joint_states", "sensor_msgs/msg/JointState", stamp + 500_000, data)
     return session
 
@@ -107,7 +111,8 @@ def filled(
 def test_what_came_in_is_what_the_bag_holds(tmp_path: Path) -> None:
     session = filled(tmp_path)
     bag, warning = session.save()
-    assert warning == "" and bag == tmp_path / "20260102_030405_000_payload" / "bag"
+    assert warning == ""
+    assert bag == tmp_path / "20260102_030405_000_payload" / "bag"
     read = recording(bag)
     assert read.joints.names == ("joint2", "joint3")
     assert read.joints.position[:, 1].tolist() == [0.01 * n for n in range(20)]
@@ -123,7 +128,9 @@ def test_a_folder_that_cannot_be_written_costs_nothing(
     monkeypatch.setattr(session_module, "_elsewhere", lambda: [elsewhere])
     session = filled(full)
     bag, warning = session.save()
-    assert bag.is_relative_to(elsewhere) and str(elsewhere) in warning and "\n" not in warning
+    assert bag.is_relative_to(elsewhere)
+    assert str(elsewhere) in warning
+    assert "\n" not in warning
     assert len(recording(bag).joints.times_ns) == 20
 
     # nowhere at all: kept, and written when there is room
@@ -133,7 +140,8 @@ def test_a_folder_that_cannot_be_written_costs_nothing(
         session.save()
     full.unlink()
     bag, warning = session.save()
-    assert warning == "" and len(recording(bag).joints.times_ns) == 20
+    assert warning == ""
+    assert len(recording(bag).joints.times_ns) == 20
 
 
 def test_nothing_came_in(tmp_path: Path) -> None:
@@ -160,7 +168,8 @@ def test_a_recording_is_on_disk_as_it_comes_and_a_bag_after_a_crash(tmp_path: Pa
     whole = recording(expected)
     assert np.array_equal(read.joints.position, whole.joints.position)
     assert np.array_equal(read.joints.times_ns, whole.joints.times_ns)
-    assert not journal.exists() and recover(root) == ([], [])
+    assert not journal.exists()
+    assert recover(root) == ([], [])
 
 
 def test_killed_while_the_bag_was_written(tmp_path: Path) -> None:
@@ -213,15 +222,17 @@ def test_what_can_be_read_is_not_refused_and_leaves_nothing(tmp_path: Path) -> N
 def test_what_a_replay_would_refuse_is_refused_before_the_probe(tmp_path: Path) -> None:
     def refusal(messages: list[RawMessage], options: Options | None = None) -> str:
         with pytest.raises(RecordingError) as caught:
-            check_input(tmp_path / "session", messages, Request(ROBOT, options or Options()))
+            check_input(
+                tmp_path / "session",
+                messages,
+                Request(ROBOT, options or Options()),
+            )
         return as_parameters(str(caught.value))
 
     told = refusal(heard(filled(tmp_path, joints=("a1", "a2"))))
-    assert (
-        "are of a1, a2" in told
-        and "the parameter robot" in told
-        and "the parameter state_topic" in told
-    )
+    assert "are of a1, a2" in told
+    assert "the parameter robot" in told
+    assert "the parameter state_topic" in told
     assert "no joint states" in refusal([]) or "no messages" in refusal([])
     begin = 1_700_000_000 * 10**9
     step = 10**7
@@ -250,7 +261,11 @@ def test_the_live_estimate_narrows_and_ends_where_the_bag_does(bags: Path) -> No
     for row, stamp in enumerate(read.joints.times_ns):
         while inputs and inputs[0][0] <= stamp:
             time_ns, current = inputs.pop(0)
-            live.add_input(int(time_ns), read.inputs.names, current * effort)
+            live.add_input(
+                int(time_ns),
+                read.inputs.names,
+                current * effort,
+            )
         live.add_state(
             int(stamp),
             read.joints.names,
@@ -266,19 +281,23 @@ def test_the_live_estimate_narrows_and_ends_where_the_bag_does(bags: Path) -> No
     assert std[-1] < 0.7 * std[0]
     final = replay([bags / BAG]).values[0]
     assert isinstance(final.value, float)
-    assert shown[-1][0] == pytest.approx(0.05, abs=0.003) and final.value == pytest.approx(
-        0.05, abs=0.003
-    )
+    assert shown[-1][0] == pytest.approx(0.05, abs=0.003)
+    assert final.value == pytest.approx(0.05, abs=0.003)
 
 
 def test_samples_that_are_no_use_are_passed_over() -> None:
     live = LiveEstimate(live_request(Options()))
     live.add_state(1_000, ["joint3"], [0.1])
     live.add_state(900, ["joint3"], [0.2])  # out of order
-    live.add_state(2_000, ["joint3"], [float("nan")])
+    live.add_state(
+        2_000,
+        ["joint3"],
+        [float("nan")],
+    )
     live.add_state(3_000, ["wheel_left"], [0.1])  # another robot's joint
     live.add_input(1_000, ["joint3"], [0.0])
-    assert live.estimate() is None and len(live._states) == 1
+    assert live.estimate() is None
+    assert len(live._states) == 1
 
 
 def test_a_live_estimate_takes_what_a_replay_takes(bags: Path) -> None:
@@ -291,7 +310,11 @@ def test_a_live_estimate_takes_what_a_replay_takes(bags: Path) -> None:
         live = LiveEstimate(live_request(Options()))
         for stamp, current in zip(read.inputs.times_ns, read.inputs.current_A, strict=True):
             if not foreign:
-                live.add_input(int(stamp), read.inputs.names, current * effort)
+                live.add_input(
+                    int(stamp),
+                    read.inputs.names,
+                    current * effort,
+                )
             elif any(current):
                 live.add_command(
                     int(stamp),
@@ -302,7 +325,11 @@ def test_a_live_estimate_takes_what_a_replay_takes(bags: Path) -> None:
         for stamp, row in zip(read.joints.times_ns, read.joints.position, strict=True):
             state = dict(zip(read.joints.names, row, strict=True))
             if foreign:
-                live.add_state(int(stamp), ["wheel_left"], [100.0])
+                live.add_state(
+                    int(stamp),
+                    ["wheel_left"],
+                    [100.0],
+                )
                 live.add_state(
                     int(stamp) + 12_000_000,
                     ["gripper_left_joint"],
@@ -333,7 +360,8 @@ def test_what_is_stated_about_the_object_is_checked_at_once() -> None:
     # whoever takes a load cannot take a load without a tensor
     assumed = live_request(Options())
     load = assumed.probe.load(assumed.facts, 0.06)
-    assert load.inertia_is == "assumed" and np.linalg.eigvalsh(load.inertia_kg_m2).min() > 0.0
+    assert load.inertia_is == "assumed"
+    assert np.linalg.eigvalsh(load.inertia_kg_m2).min() > 0.0
 
 
 def test_the_command_beside_a_result_gives_it_again(
@@ -373,7 +401,11 @@ ABOUT_IT = {
 def container_options(bags: Path) -> Options:
     baseline = sorted(bags.glob("realistic_s00_container_no_sphere_*/bag_*"))
     assert len(baseline) == 3
-    return Options(probe="container", settings=ABOUT_IT, baseline=tuple(baseline))
+    return Options(
+        probe="container",
+        settings=ABOUT_IT,
+        baseline=tuple(baseline),
+    )
 
 
 def test_a_probe_hears_only_of_its_own_object() -> None:
@@ -421,14 +453,16 @@ def test_the_empty_container_is_weighed_as_a_shell_in_its_place(bags: Path) -> N
         settings={**ABOUT_IT, "held.joint1": 0.0, "solver.starts_kg": [0.01]},
     )
     weighing = baseline_options(live_request(options))
-    assert (
-        weighing.probe == "payload"
-        and not weighing.baseline
-        and weighing.settings["held.joint1"] == 0.0
-    )
+    assert weighing.probe == "payload"
+    assert not weighing.baseline
+    assert weighing.settings["held.joint1"] == 0.0
     assert weighing.settings["payload.com"] == ABOUT_IT["container.centre"]
     # thin walls: the two across z are 6 x 4 cm, those across y 6 x 4, those across x 4 x 4; moments of a plate and Steiner
-    areas = {"x": 2 * 16.0, "y": 2 * 24.0, "z": 2 * 24.0}
+    areas = {
+        "x": 2 * 16.0,
+        "y": 2 * 24.0,
+        "z": 2 * 24.0,
+    }
     about_y = (
         areas["x"] * (4.0**2 / 12.0 + 3.0**2)
         + areas["y"] * (6.0**2 + 4.0**2) / 12.0
@@ -437,7 +471,8 @@ def test_the_empty_container_is_weighed_as_a_shell_in_its_place(bags: Path) -> N
     assert weighing.settings["payload.inertia_per_mass"][1] == pytest.approx(about_y, rel=1e-9)
     estimate = replay(options.baseline, weighing)
     shell = estimate.values[0]
-    assert isinstance(shell.value, float) and shell.ci95[0] < SHELL_KG < shell.ci95[1]
+    assert isinstance(shell.value, float)
+    assert shell.ci95[0] < SHELL_KG < shell.ci95[1]
 
 
 def test_a_container_stated_to_be_turned_has_its_inertia_turned() -> None:
@@ -465,7 +500,8 @@ def test_the_command_of_a_container_names_its_baseline_and_gives_the_result_agai
     options = container_options(bags)
     full = next(bags.glob("realistic_s00_container_sphere_12g_joint3_*/bag_*"))
     words = shlex.split(replay_command(full, options))
-    assert words.count("--baseline") == 1 and set(map(str, options.baseline)) < set(words)
+    assert words.count("--baseline") == 1
+    assert set(map(str, options.baseline)) < set(words)
     estimate = replay([full], options)
     main([*words[1:], "--json"])
     assert json.loads(capsys.readouterr().out)["estimates"] == estimate.as_json()["estimates"]

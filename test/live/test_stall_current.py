@@ -21,7 +21,13 @@ def test_they_are_those_of_a_replay() -> None:
     random = np.random.default_rng(4)
     drive = robot.drive_trains[NAME]
     times_s = 0.5 + np.cumsum(random.uniform(0.01, 0.06, 300))
-    sent_s = np.sort(random.uniform(0.0, times_s[-1], 60))
+    sent_s = np.sort(
+        random.uniform(
+            0.0,
+            times_s[-1],
+            60,
+        )
+    )
     goals = random.uniform(-1.0, 1.0, 60)
     position = np.interp(times_s, sent_s, goals) + 0.05 * random.standard_normal(300)
     stall = StallCurrents(robot)
@@ -30,8 +36,19 @@ def test_they_are_those_of_a_replay() -> None:
     for time_s, at in zip(times_s.tolist(), position.tolist(), strict=True):
         while waiting and waiting[0][0] <= time_s:
             sent, goal = waiting.pop(0)
-            stall.hear_goals(sent, ["wheel", NAME], [3.0, goal])
-        found.append(stall.current_A(NAME, time_s, at, math.nan))
+            stall.hear_goals(
+                sent,
+                ["wheel", NAME],
+                [3.0, goal],
+            )
+        found.append(
+            stall.current_A(
+                NAME,
+                time_s,
+                at,
+                math.nan,
+            )
+        )
     law = drive.driven_by
     assert isinstance(law, PositionServo)
     duty = law.duty(
@@ -42,7 +59,8 @@ def test_they_are_those_of_a_replay() -> None:
         robot.delay.value,
     )
     told = np.isfinite(found)
-    assert told.sum() > 250 and np.all(times_s[~told] - robot.delay.value < sent_s[0])
+    assert told.sum() > 250
+    assert np.all(times_s[~told] - robot.delay.value < sent_s[0])
     # a replay takes steps of 2 ms from the first joint state on, and here each goal begins where the last had come to
     most = (
         law.gain_per_rad
@@ -55,7 +73,12 @@ def test_they_are_those_of_a_replay() -> None:
     assert np.abs(np.array(found)[told] - wanted[told]).max() < most
     stall.hear_voltage(0.0)  # nobody measures it
     assert stall.current_A(NAME, times_s[-1] + 1.0, 0.0, 0.0) != 0.0
-    before = stall.current_A(NAME, times_s[-1] + 2.0, 0.0, 0.0)
+    before = stall.current_A(
+        NAME,
+        times_s[-1] + 2.0,
+        0.0,
+        0.0,
+    )
     stall.hear_voltage(0.5 * drive.supply_voltage_V)
     assert stall.current_A(NAME, times_s[-1] + 3.0, 0.0, 0.0) == pytest.approx(0.5 * before)
 
@@ -76,10 +99,20 @@ def test_what_is_not_known_is_not_guessed() -> None:
 def test_who_only_holds_does_not_work() -> None:
     stall = StallCurrents(load_robot("so101"))
     for step in range(300):  # makes up for a load, by 0.06 rad in a second
-        stall.hear_goals(0.02 * step, [NAME], [0.0012 * step])
+        stall.hear_goals(
+            0.02 * step,
+            [NAME],
+            [0.0012 * step],
+        )
     assert not stall.works(6.0)
-    stall.hear_goals(6.0, [NAME], [0.36 + 1.1 * FAR_RAD])
-    assert stall.works(6.0) and stall.works(5.9 + WORKS_S) and not stall.works(6.1 + WORKS_S)
+    stall.hear_goals(
+        6.0,
+        [NAME],
+        [0.36 + 1.1 * FAR_RAD],
+    )
+    assert stall.works(6.0)
+    assert stall.works(5.9 + WORKS_S)
+    assert not stall.works(6.1 + WORKS_S)
     other = load_robot("open_manipulator_x")
     assert StallCurrents(other).works(0.0), "of an arm that sends no goals nobody knows"
     assert not StallCurrents(replace(other, drive_trains={})).joints

@@ -95,7 +95,13 @@ int sem_timedwait(sem_t *semaphore, const struct timespec *deadline) {
 def test_the_clock_is_set_in_mid_probe(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("ROS_DOMAIN_ID", free_domain())
     offset = tmp_path / "offset"
-    offset.write_bytes((0).to_bytes(8, "little", signed=True))
+    offset.write_bytes(
+        (0).to_bytes(
+            8,
+            "little",
+            signed=True,
+        )
+    )
     source = tmp_path / "shim.c"
     library = tmp_path / "shim.so"
     probe = tmp_path / "push.yaml"
@@ -127,7 +133,13 @@ def test_the_clock_is_set_in_mid_probe(tmp_path: Path, monkeypatch: pytest.Monke
             assert client.call("/excitation/run").success
             client.wait_for_phase("probe")
             with offset.open("r+b") as file:  # in place: the file is mapped
-                file.write(jumped_s.to_bytes(8, "little", signed=True))
+                file.write(
+                    jumped_s.to_bytes(
+                        8,
+                        "little",
+                        signed=True,
+                    )
+                )
             client.wait_for_phase("done")
             said = f"the system's clock was set by {'' if jumped_s > 0 else '-'}"
             assert wait_for(lambda said=said: said in graph.log("driver")), graph.log("driver")

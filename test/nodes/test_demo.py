@@ -64,7 +64,11 @@ def start(folder: Path, *more: str) -> Demo:
     folder.mkdir()
     mark = uuid.uuid4().hex
     # demos that run side by side must not hear each other
-    environment = {**os.environ, "PROPRIO_TEST_MARK": mark, "ROS_DOMAIN_ID": free_domain()}
+    environment = {
+        **os.environ,
+        "PROPRIO_TEST_MARK": mark,
+        "ROS_DOMAIN_ID": free_domain(),
+    }
     words = [
         sys.executable,
         "-m",
@@ -105,7 +109,8 @@ def assert_interrupted(demo: Demo) -> None:
     assert demo.alive()
     demo.process.send_signal(signal.SIGINT)
     assert demo.process.wait(END_S) == 130, demo.told
-    assert demo.told.splitlines()[-1] == "proprio: interrupted" and "Traceback" not in demo.told
+    assert demo.told.splitlines()[-1] == "proprio: interrupted"
+    assert "Traceback" not in demo.told
     assert not demo.alive(), "it waits for its nodes before it goes"
     logs = [log.read_text() for log in (demo.folder / "demo" / "logs").glob("*.log")]
     assert not any("Traceback" in log for log in logs), logs
@@ -146,12 +151,11 @@ def test_what_it_shows(demo: Demo) -> None:
     places = [demo.told.find(words) for words in told]
     assert -1 not in places and places == sorted(places), demo.told
     if demo.process.returncode == EXIT_OK:
-        assert (
-            re.search(r"payload ([\d.]+) g, 95 % interval", demo.result)
-            and "the virtual hand held" in demo.result
-        )
+        assert re.search(r"payload ([\d.]+) g, 95 % interval", demo.result)
+        assert "the virtual hand held" in demo.result
         report = re.search(r"report: (.+)", demo.result)
-        assert report and "<svg" in Path(report[1]).read_text()
+        assert report
+        assert "<svg" in Path(report[1]).read_text()
 
 
 def test_on_a_new_computer_it_shows_what_it_waits_for(

@@ -84,8 +84,13 @@ class Arm:
     ) -> None:
         self.time_s = 100.0
         monkeypatch.setattr(clock, "now", lambda: self.time_s)
-        monkeypatch.setattr(clock, "now_ns", lambda: round(1e9 * self.time_s))
-        self.speaker, self.commands = Speaker(), Published()
+        monkeypatch.setattr(
+            clock,
+            "now_ns",
+            lambda: round(1e9 * self.time_s),
+        )
+        self.speaker = Speaker()
+        self.commands = Published()
         monkeypatch.setattr(excitation, "LastWords", lambda *_given: self.speaker)
         monkeypatch.setattr(ExcitationNode, "real_time", False)
         probe = folder / "push.yaml"
@@ -105,7 +110,11 @@ class Arm:
         self.node._output._commands = self.commands
         self.node._output._applied = Published()
         self.node.count_subscribers = lambda _topic: 1
-        self.driver = EffortDriver(ROBOT, Truth.draw(ROBOT, 1), joints=ORDER)
+        self.driver = EffortDriver(
+            ROBOT,
+            Truth.draw(ROBOT, 1),
+            joints=ORDER,
+        )
 
     @property
     def phase(self) -> str:
@@ -217,9 +226,11 @@ def test_lost_joint_states_end_a_push_and_what_held_the_arm_goes_on(make: Any) -
     pushed = list(arm.commands[-1].data)
     arm.advance(0.2, heard=False)
     blind = list(arm.commands[-1].data)
-    assert blind != pushed and arm.phase != "probe"
+    assert blind != pushed
+    assert arm.phase != "probe"
     arm.advance(1.0, heard=False)
-    assert arm.phase == "aborted" and list(arm.commands[-1].data) == blind
+    assert arm.phase == "aborted"
+    assert list(arm.commands[-1].data) == blind
     arm.assert_held()
 
 
@@ -237,7 +248,8 @@ def test_the_end_of_the_node_is_a_last_word(make: Any, phase: str, on_end: str) 
         arm.assert_let_go()
         return
     last = list(arm.commands[-1].data)
-    assert arm.speaker.told[-1] == [] and any(last)
+    assert arm.speaker.told[-1] == []
+    assert any(last)
     assert phase == "approach" or last[0] != pushed[0], "a push ends"
     arm.assert_held(alive=False)
 
@@ -310,7 +322,8 @@ def test_nothing_begins_where_nobody_would_hold_the_arm_of_a_killed_node(
     arm.advance(0.2)
     setattr(arm.speaker, lacks, False)
     response = arm.node._on_run(Trigger.Request(), Trigger.Response())
-    assert not response.success and cure in response.message
+    assert not response.success
+    assert cure in response.message
     assert not arm.commands
 
 
@@ -372,7 +385,8 @@ def test_last_words_are_said_when_the_node_is_silent_or_gone(
         assert [5.0, 6.0] not in heard, "who was dismissed says nothing"
         monkeypatch.setattr(last_words, "FOUND_S", 0.0)
         alone = LastWords("/nobody_listens/commands")
-        assert alone.alive and not alone.heard
+        assert alone.alive
+        assert not alone.heard
         listening = node.create_subscription(
             Float64MultiArray, "/nobody_listens/commands", lambda _: None, 10
         )

@@ -40,7 +40,12 @@ STOPPED = messages.status(
     "the current is zero; /driver/torque true holds the arm again",
     {"state": "stopped"},
 )
-RUNNING = messages.status("ok", "driver: servo bus", "held", {"state": "running"})
+RUNNING = messages.status(
+    "ok",
+    "driver: servo bus",
+    "held",
+    {"state": "running"},
+)
 
 
 @pytest.fixture
@@ -75,7 +80,12 @@ class Arm:
     def __init__(self, context: Any, folder: Path, **parameters: Any) -> None:
         probe = folder / "push.yaml"
         probe.write_text(PROBE)
-        self.node = active(ExcitationNode, context, probe=str(probe), **parameters)
+        self.node = active(
+            ExcitationNode,
+            context,
+            probe=str(probe),
+            **parameters,
+        )
         self.position = {
             **dict.fromkeys(load_robot("open_manipulator_x").drive_trains, 0.0),
             **PARKED,
@@ -138,13 +148,15 @@ def test_a_stop_in_mid_probe_is_named(arm: Arm) -> None:
     assert arm.machine.abort_reason == (
         "the driver was stopped: the current is zero; /driver/torque true holds the arm again"
     )
-    assert not arm.sent[-1][1].current_A and arm.machine.phase.value == "aborted"
+    assert not arm.sent[-1][1].current_A
+    assert arm.machine.phase.value == "aborted"
 
 
 def test_nothing_begins_while_the_driver_is_stopped(arm: Arm) -> None:
     arm.node._on_driver(STOPPED)
     answer = arm.run()
-    assert not answer.success and not arm.machine.busy
+    assert not answer.success
+    assert not arm.machine.busy
     assert (
         answer.message
         == "the driver is stopped: the current is zero; /driver/torque true holds the arm again"
@@ -173,10 +185,8 @@ def swings(arm: Arm, folder: Path) -> None:
 def test_nothing_swings_where_nobody_says_that_it_was_let_go_of(arm: Arm, tmp_path: Path) -> None:
     swings(arm, tmp_path)
     answer = arm.run()
-    assert (
-        not answer.success
-        and "nobody says on /torque_enabled when a joint is let go of" in answer.message
-    )
+    assert not answer.success
+    assert "nobody says on /torque_enabled when a joint is let go of" in answer.message
     arm.node._on_torque_enabled(Bool(data=True))
     assert arm.run().success
 
@@ -232,7 +242,12 @@ def identifier(
     monkeypatch: pytest.MonkeyPatch,
 ) -> Iterator[Any]:
     monkeypatch.setattr("proprio_ros.nodes.identifier.prepare_identification", lambda *given: None)
-    node = active(IdentifierNode, context, data_directory=str(tmp_path), calibration="none")
+    node = active(
+        IdentifierNode,
+        context,
+        data_directory=str(tmp_path),
+        calibration="none",
+    )
     yield node
     node.finish()
     node.destroy_node()
@@ -248,7 +263,14 @@ def test_a_weighing_after_a_stop_is_refused_at_once(
         "driver": "stopped: the current is zero; /driver/torque true holds the arm again",
         "joint_states": True,
     }
-    identifier.excitation.on_status(messages.status("ok", "excitation", "waiting", values))
+    identifier.excitation.on_status(
+        messages.status(
+            "ok",
+            "excitation",
+            "waiting",
+            values,
+        )
+    )
     with pytest.raises(
         JobError, match=r"the driver is stopped: the current is zero; /driver/torque true holds"
     ):
@@ -256,7 +278,9 @@ def test_a_weighing_after_a_stop_is_refused_at_once(
     answers: list[tuple[bool, str]] = []
     identifier._begin("payload", lambda success, message: answers.append((success, message)))
     clock.sleep(10.0)
-    assert answers and not answers[0][0] and "/driver/torque true" in answers[0][1]
+    assert answers
+    assert not answers[0][0]
+    assert "/driver/torque true" in answers[0][1]
 
 
 @pytest.mark.parametrize("name", ["softness_sequence", "payload_sequence"])

@@ -90,15 +90,19 @@ def test_an_arm_with_another_driver_is_probed(
             assert "recording: " in answer.message and "aborted" not in answer.message, (
                 answer.message
             )
-            assert "published best effort" in graph.log(
-                "identifier"
-            ) and "published best effort" in graph.log("excitation")
+            assert "published best effort" in graph.log("identifier")
+            assert "published best effort" in graph.log("excitation")
         finally:
             client.close()
     drives = load_robot("open_manipulator_x").drive_trains
     constants = {name: drive.nominal_effort_per_current for name, drive in drives.items()}
     bag = Path(answer.message.split("recording: ")[1])
-    recording = read_recording(bag, nominal_torque_constants=constants, joint_order=list(constants))
-    assert recording.inputs is not None and recording.inputs.source == "/current_command"
+    recording = read_recording(
+        bag,
+        nominal_torque_constants=constants,
+        joint_order=list(constants),
+    )
+    assert recording.inputs is not None
+    assert recording.inputs.source == "/current_command"
     assert abs(recording.inputs.current_A).max() > 0.05
     assert recording.joints.velocity is None

@@ -59,9 +59,14 @@ class Arm:
     def __init__(self, context: Any, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         self.time_s = 100.0
         monkeypatch.setattr(clock, "now", lambda: self.time_s)
-        monkeypatch.setattr(clock, "now_ns", lambda: round(1e9 * self.time_s))
+        monkeypatch.setattr(
+            clock,
+            "now_ns",
+            lambda: round(1e9 * self.time_s),
+        )
         self.told: list[list[float]] = []
-        self.commands, self.goals = Published(), Published()
+        self.commands = Published()
+        self.goals = Published()
         speaker = SimpleNamespace(
             alive=True, due=True, heard=True, tell=self.told.append, dismiss=lambda: self.told.append([]), close=lambda: None,
             is_publisher=lambda info: False,
@@ -82,9 +87,14 @@ class Arm:
         self.node.trigger_activate()
         assert self.node.active
         self.node.now_s = lambda: self.time_s
-        self.node._output._commands, self.node._output._applied = self.commands, self.goals
+        self.node._output._commands = self.commands
+        self.node._output._applied = self.goals
         self.node.count_subscribers = lambda _topic: 1
-        self.driver = PositionDriver(ROBOT, Truth.draw(ROBOT, 1), joints=ORDER)
+        self.driver = PositionDriver(
+            ROBOT,
+            Truth.draw(ROBOT, 1),
+            joints=ORDER,
+        )
         self.shift = 0.0
 
     @property
@@ -105,7 +115,11 @@ class Arm:
                 names = list(self.driver.broadcast)
                 positions[names.index("wrist_flex")] += self.shift
                 self.node._on_joint_state(
-                    messages.joint_state(round(1e9 * self.time_s), names, positions)
+                    messages.joint_state(
+                        round(1e9 * self.time_s),
+                        names,
+                        positions,
+                    )
                 )
             if alive:
                 self.node._on_timer()
@@ -135,7 +149,8 @@ class Arm:
         self.advance(0.4, alive=alive)
         after = self.driver.arm.position()
         assert max(abs(after[name] - before[name]) for name in after) < 0.005
-        assert len(self.last) == len(ORDER) and abs(self.last[ELBOW] - self.pushed[ELBOW]) > 0.02
+        assert len(self.last) == len(ORDER)
+        assert abs(self.last[ELBOW] - self.pushed[ELBOW]) > 0.02
         assert all(
             abs(goal - after[name]) < 0.2 for name, goal in zip(ORDER, self.last, strict=True)
         )
@@ -164,7 +179,8 @@ def test_an_abort_and_a_release_hold_the_arm(arm: Arm) -> None:
     assert all(list(each.name) == ORDER for each in arm.goals)
     arm.pushes()
     response = arm.node._on_release(Trigger.Request(), Trigger.Response())
-    assert "the servos hold the arm" in response.message and arm.told[-1] == []
+    assert "the servos hold the arm" in response.message
+    assert arm.told[-1] == []
     count = len(arm.commands)
     arm.assert_held()
     assert len(arm.commands) == count, "no more goals"
@@ -173,7 +189,8 @@ def test_an_abort_and_a_release_hold_the_arm(arm: Arm) -> None:
 def test_lost_joint_states_end_a_push(arm: Arm) -> None:
     arm.pushes()
     arm.advance(0.3, heard=False)
-    assert arm.phase != "probe" and arm.last[ELBOW] != arm.pushed[ELBOW]
+    assert arm.phase != "probe"
+    assert arm.last[ELBOW] != arm.pushed[ELBOW]
     arm.advance(2.0, heard=False)
     assert arm.phase == "aborted"
     arm.assert_held()
@@ -183,16 +200,15 @@ def test_an_encoder_that_slips_is_followed(arm: Arm) -> None:
     arm.pushes()
     arm.shift = 0.8
     arm.advance(PERIOD_S)
-    assert arm.phase == "aborted" and arm.node._machine.aborted_by == "jump"
+    assert arm.phase == "aborted"
+    assert arm.node._machine.aborted_by == "jump"
     wrist = ORDER.index("wrist_flex")
     assert arm.last[wrist] - arm.pushed[wrist] == pytest.approx(0.8, abs=0.1)
     for released in (False, True):
         arm.advance(0.5)
         response = arm.node._on_run(Trigger.Request(), Trigger.Response())
-        assert (
-            response.success == released
-            and ("the encoder of wrist_flex jumped" in response.message) != released
-        )
+        assert response.success == released
+        assert ("the encoder of wrist_flex jumped" in response.message) != released
         arm.node._on_release(Trigger.Request(), Trigger.Response())
 
 
@@ -204,7 +220,8 @@ def test_an_encoder_that_slips_while_the_arm_is_held_is_remembered(arm: Arm) -> 
     arm.shift = 0.8
     arm.advance(1.0)
     response = arm.node._on_run(Trigger.Request(), Trigger.Response())
-    assert not response.success and "the encoder of wrist_flex jumped by +0.80" in response.message
+    assert not response.success
+    assert "the encoder of wrist_flex jumped by +0.80" in response.message
 
 
 @pytest.mark.parametrize("ends", ["finish", "killed", "fails"])
@@ -225,7 +242,11 @@ def test_the_end_of_the_node_holds_the_arm(
             monkeypatch.setattr(arm.node._machine, "tick", fails)
             with pytest.raises(ZeroDivisionError):
                 arm.advance(PERIOD_S)
-            monkeypatch.setattr(arm.node._machine, "abort", lambda _why: None)
+            monkeypatch.setattr(
+                arm.node._machine,
+                "abort",
+                lambda _why: None,
+            )
         arm.node.finish()
         assert arm.told[-1] == [], "nobody says it again"
     arm.assert_held(alive=False)

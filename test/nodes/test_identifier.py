@@ -77,12 +77,22 @@ class Identifier(identifier.IdentifierNode):
     def create_publisher(self, kind: Any, topic: str, *given: Any, **more: Any) -> Any:
         ours = topic.startswith("~/") or topic.endswith("/lease")
         if not ours or "transition" in topic:  # rclpy's own
-            return super().create_publisher(kind, topic, *given, **more)
+            return super().create_publisher(
+                kind,
+                topic,
+                *given,
+                **more,
+            )
         return self.published.setdefault(topic.removeprefix("~/"), Published())
 
     def create_service(self, kind: Any, name: str, *given: Any, **more: Any) -> Any:
         if kind is not Trigger:
-            return super().create_service(kind, name, *given, **more)
+            return super().create_service(
+                kind,
+                name,
+                *given,
+                **more,
+            )
         return self.offered.setdefault(name.removeprefix("~/"), Service())
 
     def call(self, service: str) -> list[tuple[bool, str]]:
@@ -144,7 +154,12 @@ def answer(
     verdict: Verdict = Verdict.ACCEPTED,
 ) -> Estimate:
     name, unit = probe_named(probe).answer
-    known = Value(name, unit, value, None if value is None else 0.001)
+    known = Value(
+        name,
+        unit,
+        value,
+        None if value is None else 0.001,
+    )
     return Estimate(
         probe,
         "open_manipulator_x",
@@ -174,7 +189,11 @@ def test_it_says_where_real_time_is_not_granted(
     monkeypatch.setattr(managed_node, "run_in_real_time", lambda threads: granted)
     node = nodes.identifier(data_directory=tmp_path, calibration="none")
     said: list[str] = []
-    monkeypatch.setattr(node, "say", lambda severity, words: said.append(words))
+    monkeypatch.setattr(
+        node,
+        "say",
+        lambda severity, words: said.append(words),
+    )
     node.hear_in_real_time()
     assert not said, "a thread beside others decides nothing for them"
     node.hearing = {1}
@@ -188,12 +207,10 @@ def test_what_stood_of_the_hand_is_withdrawn(nodes: Nodes, tmp_path: Path) -> No
     numbers = ("mass", "sphere_mass", "payload")
     assert not any(node.published[name] for name in numbers), "nothing stands at the beginning"
     node.results.publish(live_request(Options()), answer("payload", 0.05))
-    assert (
-        node.published["mass"][-1].data == 0.05 and node.published["payload"][-1].inertia.m == 0.05
-    )
-    assert (
-        node.published["payload"][-1].inertia.ixx > 0.0 and entries_of(node)["inertia"] == "assumed"
-    )
+    assert node.published["mass"][-1].data == 0.05
+    assert node.published["payload"][-1].inertia.m == 0.05
+    assert node.published["payload"][-1].inertia.ixx > 0.0
+    assert entries_of(node)["inertia"] == "assumed"
     assert not node.published["sphere_mass"]
     node.results.withdraw()
     assert math.isnan(node.published["mass"][-1].data)
@@ -230,9 +247,8 @@ def test_the_load_has_the_inertia_that_a_motion_identified_or_else_what_is_state
         node.results.publish(
             live_request(Options(settings={"payload.shape": "cube", "payload.size": 0.03})), both
         )
-        assert entries_of(node)["inertia"] == source and node.published["payload"][
-            -1
-        ].inertia.ixx == pytest.approx(ixx)
+        assert entries_of(node)["inertia"] == source
+        assert node.published["payload"][-1].inertia.ixx == pytest.approx(ixx)
     node.results.publish(
         live_request(Options()),
         answer("payload", None, Verdict.REJECTED),
@@ -263,7 +279,8 @@ def test_a_job_that_fails_says_so_where_the_last_answer_stood(
     assert answers == [(False, "no object")]
     entries = entries_of(node)
     assert entries["payload_mass"] == "not determined"
-    assert entries["verdict"] == "failed" and entries["reason.1"] == "no object"
+    assert entries["verdict"] == "failed"
+    assert entries["reason.1"] == "no object"
     assert math.isnan(node.published["mass"][-1].data)
 
 
@@ -274,11 +291,16 @@ def test_each_namespace_has_its_data_its_frames_and_its_diagnostics(
         "no calibration, and of another arm"
     )
     node = nodes.identifier("arm1", data_directory=tmp_path, frame_prefix="arm1/")
-    assert node.workspace.calibration is None and node.workspace.data == tmp_path / "arm1"
+    assert node.workspace.calibration is None
+    assert node.workspace.data == tmp_path / "arm1"
     node.results.publish(live_request(Options()), answer("payload", 0.05))
     assert node.published["payload"][-1].header.frame_id == "arm1/end_effector_link"
     assert node.published["markers"][-1].markers[-1].header.frame_id == "arm1/end_effector_link"
-    arm = nodes.make(driver.DriverNode, "arm1", port=tmp_path / "port")
+    arm = nodes.make(
+        driver.DriverNode,
+        "arm1",
+        port=tmp_path / "port",
+    )
     arm.configure()
     assert arm.diagnosed == "arm1/driver"
 
@@ -299,11 +321,27 @@ def test_what_the_driver_says_of_its_motors_is_part_of_a_recording(
     node = nodes.identifier("arm1", data_directory=tmp_path)
     elbow = MotorIdentity(1020, 13, 46, 7, 0, 10)
     node.inputs.on_motors(
-        serialize_message(messages.status("ok", "motors", "", {"joint3": elbow.as_text()}, ""))
+        serialize_message(
+            messages.status(
+                "ok",
+                "motors",
+                "",
+                {"joint3": elbow.as_text()},
+                "",
+            )
+        )
     )
     assert node.inputs.published_motors() == []  # no driver of ours runs
-    monkeypatch.setattr(node, "count_publishers", lambda topic: int(topic == "/arm1/motors"))
-    state = messages.joint_state(1_700_000_000 * 10**9, ["joint3"], [0.1])
+    monkeypatch.setattr(
+        node,
+        "count_publishers",
+        lambda topic: int(topic == "/arm1/motors"),
+    )
+    state = messages.joint_state(
+        1_700_000_000 * 10**9,
+        ["joint3"],
+        [0.1],
+    )
     states = RawMessage(
         "/arm1/joint_states", "sensor_msgs/msg/JointState", 1, serialize_message(state)
     )
@@ -316,7 +354,17 @@ def test_how_warm_the_motors_are_is_part_of_a_recording(
     nodes: Nodes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     node = nodes.identifier("arm1", data_directory=tmp_path)
-    node.inputs.on_motors(serialize_message(messages.status("ok", "motors", "", {}, "")))
+    node.inputs.on_motors(
+        serialize_message(
+            messages.status(
+                "ok",
+                "motors",
+                "",
+                {},
+                "",
+            )
+        )
+    )
     node.inputs.on_temperatures(
         serialize_message(messages.labelled({"joint2": 31.0, "joint3": 35.0}))
     )
@@ -330,7 +378,11 @@ def test_how_warm_the_motors_are_is_part_of_a_recording(
         serialize_message(messages.labelled({"joint2": 33.0, "joint3": 35.0}))
     )
     assert len(session) == 1
-    state = messages.joint_state(1_700_000_000 * 10**9, ["joint3"], [0.1])
+    state = messages.joint_state(
+        1_700_000_000 * 10**9,
+        ["joint3"],
+        [0.1],
+    )
     session.add("/arm1/joint_states", "sensor_msgs/msg/JointState", 1, serialize_message(state))
     bag, _ = session.save()
     with BagSource(bag) as source:
@@ -339,7 +391,11 @@ def test_how_warm_the_motors_are_is_part_of_a_recording(
 
 
 def test_the_push_that_comes_next_is_shown(nodes: Nodes, tmp_path: Path) -> None:
-    node = nodes.identifier(data_directory=tmp_path, calibration="none", frame_prefix="arm1/")
+    node = nodes.identifier(
+        data_directory=tmp_path,
+        calibration="none",
+        frame_prefix="arm1/",
+    )
     results = node.results
     robot = load_robot("open_manipulator_x")
     shown = node.published["next_push"]
@@ -372,13 +428,14 @@ def test_the_push_that_comes_next_is_shown(nodes: Nodes, tmp_path: Path) -> None
         {"joint2": -1.0},
     )
     first, words, line, end = shown[-1].markers
-    assert first.action == Marker.DELETEALL and {m.header.frame_id for m in (words, line, end)} == {
-        "arm1/link1"
-    }
+    assert first.action == Marker.DELETEALL
+    assert {m.header.frame_id for m in (words, line, end)} == {"arm1/link1"}
     assert words.text == "50.0 g +- 0.80 g\nnext: joint3 -340 mA, then +-0.40 g"
     way = np.array([[p.x, p.y, p.z] for p in line.points])
     # the elbow lifts the hand
-    assert line.type == Marker.LINE_STRIP and len(way) == 20 and way[-1, 2] > way[0, 2] + 0.05
+    assert line.type == Marker.LINE_STRIP
+    assert len(way) == 20
+    assert way[-1, 2] > way[0, 2] + 0.05
     for place, pose in ((0, start), (-1, start | {"joint3": -0.1})):
         np.testing.assert_allclose(
             way[place], robot.model.frame_transform(robot.payload_frame, pose)[:3, 3]
@@ -442,7 +499,8 @@ def test_what_cannot_be_recorded_is_said_before_anything_moves(
     monkeypatch.setattr(jobs, "LONGEST_CHECK_S", 0.0)
     with pytest.raises(JobError, match="not begun: "):
         node.jobs.record(job, "payload", "payload_elbow", request)
-    assert not asked and not list(node.workspace.data.iterdir())
+    assert not asked
+    assert not list(node.workspace.data.iterdir())
 
 
 def test_topics_with_other_names_are_part_of_the_command_that_replays(
@@ -472,13 +530,16 @@ def test_a_robot_that_is_a_topic_is_ready_when_its_description_comes(
     node = nodes.identifier("arm1", **stated, effort_unit="N.m")
     node.active = True
     ((begun, why),) = node.call("calibrate_payload")
-    assert not begun and "not ready: waits for /arm1/robot_description" in why
+    assert not begun
+    assert "not ready: waits for /arm1/robot_description" in why
     urdf = String(data=resource("urdf", "open_manipulator_x").read_text())
     node.hear("/arm1/robot_description", urdf)
     assert node.inputs.joints == [b"joint1", b"joint2", b"joint3", b"joint4"]
-    assert entries(node.status)["doing"] == "idle" and node.status.message == "ready"
+    assert entries(node.status)["doing"] == "idle"
+    assert node.status.message == "ready"
     described = Path(node.workspace.options().robot)
-    assert described.is_file() and described.is_relative_to(tmp_path / "arm1" / "descriptions")
+    assert described.is_file()
+    assert described.is_relative_to(tmp_path / "arm1" / "descriptions")
     file = nodes.identifier(
         "arm3", **(stated | {"robot": resource("urdf", "open_manipulator_x")}), effort_unit="N.m"
     )
@@ -489,7 +550,8 @@ def test_a_robot_that_is_a_topic_is_ready_when_its_description_comes(
     node.hear("/arm2/robot_description", urdf)
     assert "the parameter effort_unit N.m where torque was recorded" in node.status.message
     ((begun, why),) = node.call("calibrate_payload")
-    assert not begun and "the parameter effort_unit N.m where torque was recorded" in why
+    assert not begun
+    assert "the parameter effort_unit N.m where torque was recorded" in why
     assert entries(node.status)["doing"] == "starting"
 
 
@@ -501,7 +563,11 @@ def test_what_drives_the_joints_must_be_said_by_somebody(nodes: Nodes, tmp_path:
     assert not nodes.identifier(
         data_directory=tmp_path, calibration="none", effort_unit="A"
     ).inputs.missing()
-    servos = nodes.identifier(data_directory=tmp_path, calibration="none", robot="so101")
+    servos = nodes.identifier(
+        data_directory=tmp_path,
+        calibration="none",
+        robot="so101",
+    )
     assert "nobody publishes where the servos are sent, /joint_command" in servos.inputs.missing()
     servos.create_publisher(JointState, "/joint_command", 1)
     assert servos.inputs.missing() == ""
@@ -511,7 +577,11 @@ def test_what_drives_the_joints_must_be_said_by_somebody(nodes: Nodes, tmp_path:
 
 
 def test_weighing_the_last_seconds_is_refused_with_the_reason(nodes: Nodes, tmp_path: Path) -> None:
-    node = nodes.identifier(data_directory=tmp_path, calibration="none", running="true")
+    node = nodes.identifier(
+        data_directory=tmp_path,
+        calibration="none",
+        running="true",
+    )
     job = Job(WEIGH, "weigh")
     with pytest.raises(JobError, match=r"no calibration of motions.*proprio calibrate BAG"):
         node.weighing.weigh(job, node.jobs.identify)
@@ -519,7 +589,8 @@ def test_weighing_the_last_seconds_is_refused_with_the_reason(nodes: Nodes, tmp_
         "nothing is kept for what cannot be done"
     )
     node.inputs.kept = deque()
-    assert not node.inputs.may_skip("joint_states") and node.inputs.may_skip("applied_effort")
+    assert not node.inputs.may_skip("joint_states")
+    assert node.inputs.may_skip("applied_effort")
     with pytest.raises(JobError, match="give the parameter driver or effort_unit"):
         node.weighing.weigh(job, node.jobs.identify)
     hear = {
@@ -580,16 +651,35 @@ def test_a_refused_sequence_is_asked_for_again_only_while_no_joint_states_reach_
     node = nodes.identifier(data_directory=tmp_path, calibration="none")
     job = Job("payload", "calibrate_payload")
     excitation = node.excitation
-    excitation.values = {"sequence": "1", "busy": "false", "phase": "done"}
+    excitation.values = {
+        "sequence": "1",
+        "busy": "false",
+        "phase": "done",
+    }
     asked: list[str] = []
     known = SimpleNamespace(results=[SimpleNamespace(successful=True)])
-    monkeypatch.setattr(excitation.set_probe, "call_async", lambda request: Future(known))
+    monkeypatch.setattr(
+        excitation.set_probe,
+        "call_async",
+        lambda request: Future(known),
+    )
 
     def run(request: Any) -> Future:
         asked.append("run")
         if len(asked) == 1:  # its status says so as it refuses, in whatever words
-            excitation.on_status(messages.status("ok", "excitation", "", {"joint_states": False}))
-            excitation.values = {"sequence": "1", "busy": "false", "phase": "done"}
+            excitation.on_status(
+                messages.status(
+                    "ok",
+                    "excitation",
+                    "",
+                    {"joint_states": False},
+                )
+            )
+            excitation.values = {
+                "sequence": "1",
+                "busy": "false",
+                "phase": "done",
+            }
             return Future(SimpleNamespace(success=False, message="nothing to be seen"))
         return Future(SimpleNamespace(success=True, message="sequence 1: payload, 1 runs"))
 
@@ -642,17 +732,20 @@ def test_a_joint_was_let_go_of_when_that_was_said_and_not_when_it_was_heard(
             subscription.topic_name: subscription.callback for subscription in node.subscriptions
         }
         hear["/torque_enabled"](serialize_message(Bool(data=False)), {"source_timestamp": sent_ns})
-    assert kept[0] == late_ns and kept[1] >= now_ns
+    assert kept[0] == late_ns
+    assert kept[1] >= now_ns
 
 
 def test_a_driver_is_named_in_one_word(nodes: Nodes, tmp_path: Path) -> None:
     given: dict[str, Any] = {"data_directory": tmp_path, "calibration": "none"}
     node = nodes.identifier("cell", **given, driver="robotis")
-    assert node.inputs.measured_unit() == "raw" and node.inputs.missing() == ""
+    assert node.inputs.measured_unit() == "raw"
+    assert node.inputs.missing() == ""
     heard = {subscription.topic_name for subscription in node.subscriptions}
     assert {"/cell/joint_states", "/cell/forward_effort_controller/commands"} <= heard
     options = node.workspace.options()
-    assert options.driver == "robotis" and options.effort_unit is None
+    assert options.driver == "robotis"
+    assert options.effort_unit is None
     assert options.state_topic is None and options.command_topic is None, (
         "found in the bag as they were found here"
     )

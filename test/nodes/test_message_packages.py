@@ -80,10 +80,8 @@ def test_a_built_package_goes_over_dds(environment: dict[str, str]) -> None:
     server = subprocess.Popen([sys.executable, "-c", SERVER], env=environment)
     context = rclpy.Context()
     rclpy.init(args=[], context=context)
-    node, executor = (
-        rclpy.create_node("client", context=context),
-        SingleThreadedExecutor(context=context),
-    )
+    node = rclpy.create_node("client", context=context)
+    executor = SingleThreadedExecutor(context=context)
     executor.add_node(node)
 
     def spun_until(ready: Any) -> bool:
@@ -96,15 +94,22 @@ def test_a_built_package_goes_over_dds(environment: dict[str, str]) -> None:
 
     try:
         masses: list[Any] = []
-        node.create_subscription(kinds["msg"].Mass, "/mass", masses.append, LATCHED)
+        node.create_subscription(
+            kinds["msg"].Mass,
+            "/mass",
+            masses.append,
+            LATCHED,
+        )
         assert spun_until(lambda: masses)
-        assert masses[0].mass != masses[0].mass and list(masses[0].reasons) == ["none"]
+        assert masses[0].mass != masses[0].mass
+        assert list(masses[0].reasons) == ["none"]
 
         payload = kinds["srv"].SetPayload
         client = node.create_client(payload, "/set_payload")
         assert spun_until(client.service_is_ready)
         answer = client.call_async(payload.Request(mass=2.5, center_of_gravity=[0.5, 0.25, 0.125]))
-        assert spun_until(answer.done) and answer.result().success
+        assert spun_until(answer.done)
+        assert answer.result().success
 
         count = kinds["action"].Count
         heard: list[float] = []
@@ -113,7 +118,8 @@ def test_a_built_package_goes_over_dds(environment: dict[str, str]) -> None:
         sent = action.send_goal_async(
             count.Goal(to=3), lambda message: heard.append(message.feedback.fraction)
         )
-        assert spun_until(sent.done) and sent.result().accepted
+        assert spun_until(sent.done)
+        assert sent.result().accepted
         result = sent.result().get_result_async()
         assert spun_until(result.done)
         mass = result.result().result.mass

@@ -46,7 +46,8 @@ def test_what_is_not_known_is_not_a_number() -> None:
         [0.0, 1.0],
         "too_wide",
     )
-    assert filled.reasons == ["one", "two"] and vars(filled.centre) == {
+    assert filled.reasons == ["one", "two"]
+    assert vars(filled.centre) == {
         "x": 0.1,
         "y": 0.2,
         "z": 0.3,
@@ -58,8 +59,14 @@ def test_what_is_not_known_is_not_a_number() -> None:
     }
     filled = fill(blank(), probe_named("payload"), unknown)
     assert all(map(math.isnan, (filled.mass, filled.std, *filled.interval, filled.centre.y)))
-    block = fill(SimpleNamespace(), probe_named("softness"), {"youngs_modulus": 2e5})
-    assert block.youngs_modulus == 2e5 and not hasattr(block, "mass") and block.reasons == []
+    block = fill(
+        SimpleNamespace(),
+        probe_named("softness"),
+        {"youngs_modulus": 2e5},
+    )
+    assert block.youngs_modulus == 2e5
+    assert not hasattr(block, "mass")
+    assert block.reasons == []
 
 
 def asked(target: str, sequence: str = "", half_interval: float = 0.0) -> Any:
@@ -138,7 +145,8 @@ def test_weighing_as_an_action(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
         stamped = masses[-1]
         # a computer that is busy elsewhere records nothing of use
         if final["payload_mass"] == "not determined":
-            assert math.isnan(result.mass) and math.isnan(stamped.mass)
+            assert math.isnan(result.mass)
+            assert math.isnan(stamped.mass)
         else:
             assert float(final["payload_mass"]) == result.mass == stamped.mass
             assert (
@@ -152,27 +160,33 @@ def test_weighing_as_an_action(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
             == list(result.reasons)
             == list(stamped.reasons)
         )
-        assert stamped.header.frame_id == "end_effector_link" and stamped.header.stamp.sec > 0
-        assert Path(result.bag).is_dir() and result.bag in result.message
+        assert stamped.header.frame_id == "end_effector_link"
+        assert stamped.header.stamp.sec > 0
+        assert Path(result.bag).is_dir()
+        assert result.bag in result.message
         command = json.loads((Path(result.bag).parent / "estimate.json").read_text())["command"]
         assert "payload.size=0.03" in command, "what the goal stated counted"
         assert heard[-1].fraction > 0.0
 
         # cancelled, what stood is withdrawn, and the next job may come
         goal = send(sequence="payload_elbow")
-        assert goal.accepted and wait_for(lambda: bool(heard), 120.0)
+        assert goal.accepted
+        assert wait_for(lambda: bool(heard), 120.0)
         assert wait_for(
             lambda: any(each.verdict == "withdrawn" and math.isnan(each.mass) for each in masses),
             60.0,
         )
         client.answer(goal.cancel_goal_async(), 60.0)
         ended = client.answer(goal.get_result_async(), 60.0)
-        assert ended.status == GoalStatus.STATUS_CANCELED and "cancelled" in ended.result.message
-        assert ended.result.verdict == "failed" and math.isnan(ended.result.mass)
+        assert ended.status == GoalStatus.STATUS_CANCELED
+        assert "cancelled" in ended.result.message
+        assert ended.result.verdict == "failed"
+        assert math.isnan(ended.result.mass)
 
         # by the service that ends any job, too
         goal = send(sequence="payload_elbow")
-        assert goal.accepted and wait_for(lambda: bool(heard), 120.0)
+        assert goal.accepted
+        assert wait_for(lambda: bool(heard), 120.0)
         assert client.call("/identifier/cancel").success
         assert client.answer(goal.get_result_async(), 60.0).status == GoalStatus.STATUS_CANCELED
 

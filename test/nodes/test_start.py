@@ -50,7 +50,8 @@ def test_the_identifier_says_what_it_compiles(
         told = [
             status.message for status in client.statuses if values_of(status)["doing"] == "starting"
         ]
-        assert told and told[-1].startswith("compiling 5 of 5")
+        assert told
+        assert told[-1].startswith("compiling 5 of 5")
 
 
 @pytest.mark.long

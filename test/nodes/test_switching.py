@@ -80,7 +80,9 @@ class Manager:
     """In controller_manager's place: two controllers, of which one has the joints; strict."""
 
     def __init__(self, client: Client, kind: Any) -> None:
-        self.active, self.refuses, self.heard = THEIRS, "", list[Any]()
+        self.active = THEIRS
+        self.refuses = ""
+        self.heard = list[Any]()
         client.node.create_service(kind, "/controller_manager/switch_controller", self._switch)
 
     def _switch(self, request: Any, response: Any) -> Any:
@@ -125,15 +127,18 @@ def test_every_end_of_a_sequence_gives_the_arm_back(
         manager = Manager(client, built.kind)
         answer = client.call("/excitation/run")
         assert answer.success, answer.message
-        assert manager.active == OURS and client.excitation["busy"] == "true"
+        assert manager.active == OURS
+        assert client.excitation["busy"] == "true"
         client.wait_for_phase("done")
         assert wait_for(lambda: manager.active == THEIRS), "done"
         assert len(manager.heard) == 2
 
         manager.refuses = "a joint is on fire"
         answer = client.call("/excitation/run")
-        assert not answer.success and "refused: a joint is on fire" in answer.message
-        assert client.excitation["phase"] == "done" and manager.active == THEIRS
+        assert not answer.success
+        assert "refused: a joint is on fire" in answer.message
+        assert client.excitation["phase"] == "done"
+        assert manager.active == THEIRS
         manager.refuses = ""
 
         assert client.set("/excitation", "probe", str(endless)).successful
@@ -142,9 +147,8 @@ def test_every_end_of_a_sequence_gives_the_arm_back(
         client.call("/excitation/abort")
         # asked for while it is switched back: it waits for that
         assert client.call("/excitation/run").success
-        assert manager.active == OURS and [
-            r.activate_controllers[0] for r in manager.heard[-2:]
-        ] == [THEIRS, OURS]
+        assert manager.active == OURS
+        assert [r.activate_controllers[0] for r in manager.heard[-2:]] == [THEIRS, OURS]
         client.wait_for_phase("probe")
         assert THEIRS in client.call("/excitation/release").message
         assert wait_for(lambda: manager.active == THEIRS), "released"
@@ -171,7 +175,11 @@ def test_without_the_messages_the_node_says_so_and_works(
     monkeypatch.setitem(sys.modules, PACKAGE, None)
     monkeypatch.setitem(sys.modules, f"{PACKAGE}.srv", None)
     said: list[str] = []
-    monkeypatch.setattr(ExcitationNode, "say", lambda self, severity, words: said.append(words))
+    monkeypatch.setattr(
+        ExcitationNode,
+        "say",
+        lambda self, severity, words: said.append(words),
+    )
     monkeypatch.setattr(ExcitationNode, "real_time", False)
     speaker = SimpleNamespace(
         alive=True,
@@ -216,7 +224,8 @@ class Fake:
     def ask(self, engage: bool, then: Any) -> None:
         self.done.append("engage" if engage else "back")
         self.pending = self.switched = True
-        self.then, self.wanted = then, engage
+        self.then = then
+        self.wanted = engage
 
     def answer(self, why: str = "", known: bool = True) -> None:
         self.pending = False
@@ -241,7 +250,8 @@ class Fake:
 
 
 def staged() -> tuple[Fake, SwitchedRuns, list[tuple[bool, str]]]:
-    fake, answers = Fake(), list[tuple[bool, str]]()
+    fake = Fake()
+    answers = list[tuple[bool, str]]()
     switch: Any = type("Switch", (), {
         "controllers": fake.controllers, "ask": staticmethod(fake.ask),
         "pending": property(lambda _: fake.pending), "engaged": property(lambda _: fake.switched),
@@ -252,7 +262,9 @@ def staged() -> tuple[Fake, SwitchedRuns, list[tuple[bool, str]]]:
 def test_the_arm_is_held_from_before_the_switch_until_it_is_switched_back() -> None:
     fake, runs, answers = staged()
     runs.run(lambda *given: answers.append(given))
-    assert fake.done == ["hold", "engage"] and fake.engaged and not answers
+    assert fake.done == ["hold", "engage"]
+    assert fake.engaged
+    assert not answers
     fake.answer()
     assert answers == [(True, "begun")]
     fake.busy = False
@@ -263,7 +275,8 @@ def test_the_arm_is_held_from_before_the_switch_until_it_is_switched_back() -> N
     assert fake.done[-1] == "error" and fake.engaged, "it goes on holding, and is spoken for"
     assert THEIRS in runs.release()
     fake.answer()
-    assert fake.done[-4:] == ["error", "back", "info", "hand over"] and not fake.engaged
+    assert fake.done[-4:] == ["error", "back", "info", "hand over"]
+    assert not fake.engaged
 
 
 def test_nothing_begins_where_the_switch_is_refused_and_one_that_is_not_answered_is_taken_back() -> (
@@ -273,10 +286,13 @@ def test_nothing_begins_where_the_switch_is_refused_and_one_that_is_not_answered
     runs.run(lambda *given: answers.append(given))
     fake.answer("refused")
     assert answers == [(False, "the controllers were not switched: refused")]
-    assert fake.done == ["hold", "engage", "hand over"] and not fake.busy
+    assert fake.done == ["hold", "engage", "hand over"]
+    assert not fake.busy
     runs.run(lambda *given: answers.append(given))
     fake.answer("no answer", known=False)
-    assert fake.done[-1] == "back" and fake.engaged and not fake.busy
+    assert fake.done[-1] == "back"
+    assert fake.engaged
+    assert not fake.busy
 
 
 def test_a_controllers_name_is_that_of_its_topic() -> None:

@@ -152,9 +152,8 @@ def test_a_weighing_goes_through_all_of_them(arm: Arm) -> None:
     )
     (result,) = results
     assert json.loads(result.read_text())["verdict"] == final["verdict"]
-    assert "<svg" in (result.parent / "report.html").read_text() and list(
-        (result.parent / "bag").glob("*.mcap")
-    )
+    assert "<svg" in (result.parent / "report.html").read_text()
+    assert list((result.parent / "bag").glob("*.mcap"))
     late = Client()
     try:
         assert wait_for(lambda: bool(late.estimates and late.statuses)), (
@@ -231,11 +230,19 @@ def test_a_disk_that_is_full(arm: Arm) -> None:
     future = client.begin("/identifier/calibrate_payload")
     client.wait_for_phase("probe")
     _, hard = resource.prlimit(process.pid, resource.RLIMIT_FSIZE)
-    resource.prlimit(process.pid, resource.RLIMIT_FSIZE, (4096, hard))
+    resource.prlimit(
+        process.pid,
+        resource.RLIMIT_FSIZE,
+        (4096, hard),
+    )
     try:
         answer = client.answer(future)
     finally:
-        resource.prlimit(process.pid, resource.RLIMIT_FSIZE, (hard, hard))
+        resource.prlimit(
+            process.pid,
+            resource.RLIMIT_FSIZE,
+            (hard, hard),
+        )
     assert (
         not answer.success and "kept in memory" in answer.message and "\n" not in answer.message
     ), answer.message
@@ -305,10 +312,8 @@ def test_told_to_end(arm: Arm, node: str, number: int) -> None:
     assert process.wait(SOON_S) == 0
     assert "Traceback" not in arm.graph.log(node)
     if node == "excitation":
-        assert (
-            wait_for(lambda: client.excitation["phase"] == "aborted")
-            and "told to end" in client.excitation["reason"]
-        )
+        assert wait_for(lambda: client.excitation["phase"] == "aborted")
+        assert "told to end" in client.excitation["reason"]
         assert any(client.motors[-1].effort), "the arm is held"
     if node == "driver":
         assert wait_for(lambda: not any(client.motors[-1].effort)), "and let go at the end"

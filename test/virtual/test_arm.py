@@ -28,7 +28,13 @@ from proprio_ros.virtual.objects import HandObject, Payload
 from proprio_ros.virtual.truth import JointTruth, LinkTruth, Truth
 
 GRIPPER = "gripper_left_joint"
-POSE = {"joint1": 0.4, "joint2": -0.9, "joint3": 0.7, "joint4": 0.3, GRIPPER: 0.005}
+POSE = {
+    "joint1": 0.4,
+    "joint2": -0.9,
+    "joint3": 0.7,
+    "joint4": 0.3,
+    GRIPPER: 0.005,
+}
 SMOOTH = JointTruth(torque_constant=1.8, armature=0.012, viscous=0.01)
 PERIOD_S = 0.001
 
@@ -132,7 +138,11 @@ def test_holding_currents_balance_gravity(
     robot: Robot, payload: Payload | None, gravity: list[float]
 ) -> None:
     robot = robot.with_overrides({"gravity": gravity})
-    arm = VirtualArm(robot, truth_of(robot, SMOOTH), position=POSE)
+    arm = VirtualArm(
+        robot,
+        truth_of(robot, SMOOTH),
+        position=POSE,
+    )
     arm.hold(payload)
     torque = 1.8 * settled(arm)
     carried = [] if payload is None else [(payload.mass_kg, payload.com_m)]
@@ -145,7 +155,11 @@ def test_departing_links_shift_the_torque(robot: Robot) -> None:
     truth = truth_of(robot, SMOOTH)
     torques = []
     for hidden in (truth, replace(truth, arm_scale=1.03), replace(truth, links={"link4": link})):
-        arm = VirtualArm(robot, hidden, position={"joint2": -0.5})
+        arm = VirtualArm(
+            robot,
+            hidden,
+            position={"joint2": -0.5},
+        )
         torques.append((1.8 * settled(arm), arm.position()))
     (plain, _), (scaled, there), (departed, here) = torques
     assert scaled == pytest.approx(1.03 * holding_torque(robot, there, []), abs=2e-6)
@@ -162,7 +176,12 @@ def test_departing_links_shift_the_torque(robot: Robot) -> None:
 
 def test_a_resting_sphere_weighs(robot: Robot) -> None:
     arm = VirtualArm(robot, truth_of(robot, SMOOTH))
-    box = Container(0.03, sphere_mass_kg=0.05, sphere_radius_m=0.012, centre_m=(0.01, 0.0, 0.005))
+    box = Container(
+        0.03,
+        sphere_mass_kg=0.05,
+        sphere_radius_m=0.012,
+        centre_m=(0.01, 0.0, 0.005),
+    )
     arm.hold(box)
     start = box.sphere_m(arm)
     assert start == pytest.approx((0.0, 0.0, -0.008), abs=1e-12)
@@ -228,8 +247,18 @@ def test_stribeck_against_its_equation(pendulum: Robot) -> None:
 
 def test_a_current_step_against_the_closed_form(robot: Robot) -> None:
     # joint1 turns about the vertical; a huge armature holds the others, so inertia is constant and gravity does no work
-    hidden = JointTruth(1.7, coulomb=0.05, viscous=0.03, load_friction=0.04, armature=0.015)
-    truth = truth_of(robot, JointTruth(1.7, armature=1e5), joint1=hidden)
+    hidden = JointTruth(
+        1.7,
+        coulomb=0.05,
+        viscous=0.03,
+        load_friction=0.04,
+        armature=0.015,
+    )
+    truth = truth_of(
+        robot,
+        JointTruth(1.7, armature=1e5),
+        joint1=hidden,
+    )
     arm = VirtualArm(robot, truth, position={"joint2": 0.8})
     pose = arm.position()
     spinning = {name: float(name == "joint1") for name in pose}
@@ -247,7 +276,12 @@ def test_a_current_step_against_the_closed_form(robot: Robot) -> None:
 
 
 def test_a_slide_counts_at_the_shaft(robot: Robot) -> None:
-    hidden = JointTruth(1.7, coulomb=0.05, viscous=0.02, armature=0.01)
+    hidden = JointTruth(
+        1.7,
+        coulomb=0.05,
+        viscous=0.02,
+        armature=0.01,
+    )
     arm = VirtualArm(
         robot,
         truth_of(robot, JointTruth(1.7, armature=1e5), **{GRIPPER: hidden}),
@@ -283,7 +317,12 @@ def test_a_swinging_pendulum_keeps_its_energy(pendulum: Robot) -> None:
 
 
 def test_a_falling_arm_keeps_its_energy(robot: Robot) -> None:
-    start = {"joint1": 0.3, "joint2": -0.5, "joint3": 0.2, "joint4": 0.4}
+    start = {
+        "joint1": 0.3,
+        "joint2": -0.5,
+        "joint3": 0.2,
+        "joint4": 0.4,
+    }
     arm = VirtualArm(
         robot,
         truth_of(robot, JointTruth(1.8, armature=0.01)),
@@ -331,7 +370,11 @@ def test_limits_hold(robot: Robot, current_A: float) -> None:
 
 @pytest.mark.parametrize("held", [Payload(0.1), Container(), SoftBlock(12000.0), None])
 def test_a_swap_keeps_the_motion(robot: Robot, held: HandObject | None) -> None:
-    arm = VirtualArm(robot, Truth.draw(robot, 5), position=POSE)
+    arm = VirtualArm(
+        robot,
+        Truth.draw(robot, 5),
+        position=POSE,
+    )
     for first in (None, Container(), Payload(0.02)):
         arm.hold(first)
         for _ in range(20):
@@ -408,7 +451,13 @@ def test_a_shaken_sphere_stays_inside(robot: Robot) -> None:
 
 
 def test_a_block_is_compressed_by_its_law(robot: Robot) -> None:
-    block = SoftBlock(12000.0, (0.025, 0.03, 0.02), damping=200.0, gap_m=0.003, poissons_ratio=0.3)
+    block = SoftBlock(
+        12000.0,
+        (0.025, 0.03, 0.02),
+        damping=200.0,
+        gap_m=0.003,
+        poissons_ratio=0.3,
+    )
     arm = VirtualArm(
         robot,
         truth_of(
@@ -445,7 +494,12 @@ def test_a_block_is_compressed_by_its_law(robot: Robot) -> None:
 
 
 def test_a_block_never_pulls() -> None:
-    block = SoftBlock(1e4, (0.02, 0.03, 0.03), damping=10.0, poissons_ratio=0.0)
+    block = SoftBlock(
+        1e4,
+        (0.02, 0.03, 0.03),
+        damping=10.0,
+        poissons_ratio=0.0,
+    )
     # without a Poisson's ratio the sides stay as they are
     elastic = 0.5e4 * 0.03 * 0.03 * (1.0 / 0.9 - 0.9)
     assert block.force_N(0.002, 0.0) == pytest.approx(elastic)
@@ -462,7 +516,11 @@ def test_a_block_needs_a_gripper(pendulum: Robot) -> None:
 
 def test_the_walls_of_a_container() -> None:
     # a cubic shell of edge a: m a^2 5/18 about each axis
-    box = Container(0.036, (0.06, 0.06, 0.06), sphere_radius_m=0.01)
+    box = Container(
+        0.036,
+        (0.06, 0.06, 0.06),
+        sphere_radius_m=0.01,
+    )
     assert box.inertia == pytest.approx((0.036 * 0.06**2 * 5 / 18,) * 3 + (0.0,) * 3)
 
 
@@ -512,7 +570,9 @@ def test_wrong_objects_are_refused_in_one_line(text: str, said: str) -> None:
     with pytest.raises(ConfigurationError) as caught:
         virtual_object(text)
     message = str(caught.value)
-    assert said in message and "valid: none | 0.05" in message and "\n" not in message
+    assert said in message
+    assert "valid: none | 0.05" in message
+    assert "\n" not in message
 
 
 # ----------------------------------------------------------------------------------------------------- truth and encoders
@@ -527,10 +587,8 @@ def test_drawn_truths(robot: Robot) -> None:
         ("load_friction", 0.0, 0.03),
     ):
         values = [getattr(joint, term) for joint in joints]
-        assert (
-            low <= min(values) < low + 0.1 * (high - low)
-            and high - 0.1 * (high - low) < max(values) <= high
-        )
+        assert low <= min(values) < low + 0.1 * (high - low)
+        assert high - 0.1 * (high - low) < max(values) <= high
     assert np.std([joint.torque_constant for joint in joints]) == pytest.approx(0.09, rel=0.1)
     assert min(joint.armature for joint in joints) == pytest.approx(0.4 * 0.012)
     assert np.std([joint.zero_rad for joint in joints]) == pytest.approx(0.005, rel=0.1)
@@ -554,15 +612,26 @@ def test_known_friction_is_drawn_about_its_value(robot: Robot) -> None:
 
 def test_a_seed_gives_the_same_motors_whatever_else_is_drawn(robot: Robot) -> None:
     plain = Truth.draw(robot, 7)
-    full = Truth.draw(robot, 7, links=True, stribeck=True)
+    full = Truth.draw(
+        robot,
+        7,
+        links=True,
+        stribeck=True,
+    )
     assert full != plain == Truth.draw(robot, 7) != Truth.draw(robot, 8)
     assert all(joint.stribeck > 0.0 for joint in full.joints.values())
     without = {name: replace(joint, stribeck=0.0) for name, joint in full.joints.items()}
-    assert without == plain.joints and full.latency_s == plain.latency_s
+    assert without == plain.joints
+    assert full.latency_s == plain.latency_s
 
 
 def test_truth_in_a_file(robot: Robot) -> None:
-    truth = Truth.draw(robot, 2, links=True, stribeck=True)
+    truth = Truth.draw(
+        robot,
+        2,
+        links=True,
+        stribeck=True,
+    )
     assert Truth.from_json(truth.as_json()) == truth
     for wrong in ("{", "[]", "{}", '{"joints": {"joint1": {"colour": 1}}}'):
         with pytest.raises(ConfigurationError, match="truth: "):
@@ -573,7 +642,11 @@ def test_encoders(robot: Robot) -> None:
     hidden = JointTruth(
         1.8, zero_rad=0.02, once_per_turn_sin_rad=0.003, once_per_turn_cos_rad=-0.002
     )
-    arm = VirtualArm(robot, truth_of(robot, hidden), position=POSE)
+    arm = VirtualArm(
+        robot,
+        truth_of(robot, hidden),
+        position=POSE,
+    )
     true = arm.shaft_rad()
     assert true[4] == pytest.approx(0.005 / 0.01149)
     assert arm.encoder_rad() == pytest.approx(
@@ -644,7 +717,11 @@ def test_without_mujoco_one_is_told_what_to_install(
 
 @pytest.mark.parametrize("control_period_s", [0.001, 0.0007, 0.002])
 def test_a_step_takes_one_control_period(pendulum: Robot, control_period_s: float) -> None:
-    arm = VirtualArm(pendulum, Truth.nominal(pendulum), control_period_s=control_period_s)
+    arm = VirtualArm(
+        pendulum,
+        Truth.nominal(pendulum),
+        control_period_s=control_period_s,
+    )
     for _ in range(100):
         arm.step(np.zeros(1))
     assert arm.time_s == pytest.approx(100 * control_period_s, rel=1e-12)
@@ -665,7 +742,11 @@ def test_the_identification_finds_the_mass_when_the_truth_is_stated(robot: Robot
             for name, joint in nominal.joints.items()
         },
     )
-    arm = VirtualArm(robot, truth, position={"joint2": -1.4, "joint3": 0.8})
+    arm = VirtualArm(
+        robot,
+        truth,
+        position={"joint2": -1.4, "joint3": 0.8},
+    )
     arm.hold(Payload(0.05))
     told: dict[str, float] = {
         "arm_scale": 1.0,

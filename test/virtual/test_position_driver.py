@@ -19,7 +19,11 @@ ORDER = ("wrist_flex", "elbow_flex", "shoulder_pan", "wrist_roll", "gripper", "s
 
 
 def test_it_stays_until_the_first_goals_and_ignores_what_is_not_whole() -> None:
-    driver = PositionDriver(ROBOT, Truth.nominal(ROBOT), joints=ORDER)
+    driver = PositionDriver(
+        ROBOT,
+        Truth.nominal(ROBOT),
+        joints=ORDER,
+    )
     driver.advance(1.0)
     driver.advance(1.2)
     assert set(driver.arm.position().values()) == {0.0}, "somebody holds it"
@@ -33,7 +37,11 @@ def test_it_stays_until_the_first_goals_and_ignores_what_is_not_whole() -> None:
 def test_goals_are_in_the_controllers_order_and_the_arm_hangs_below_them_by_the_servos_law() -> (
     None
 ):
-    driver = PositionDriver(ROBOT, Truth.nominal(ROBOT), joints=ORDER)
+    driver = PositionDriver(
+        ROBOT,
+        Truth.nominal(ROBOT),
+        joints=ORDER,
+    )
     driver.advance(1.0)
     assert driver.command(1.0, [0.0, 0.0, 0.5, 0.0, 0.0, 0.0])
     fastest = 0.0

@@ -77,7 +77,11 @@ def test_a_header_in_the_data_is_stuffed() -> None:
     assert stuff(bytes.fromhex("03 FF FF FD 00 FF FF FD FD")) == bytes.fromhex(
         "03 FF FF FD FD 00 FF FF FD FD FD"
     )
-    packet = encode_instruction(1, Code.WRITE, bytes.fromhex("14 00 FF FF FD 00"))
+    packet = encode_instruction(
+        1,
+        Code.WRITE,
+        bytes.fromhex("14 00 FF FF FD 00"),
+    )
     assert packet[5:7] == bytes([10, 0]), "the length counts the stuffed byte"
     assert Parser().feed(packet) == [
         Instruction(1, Code.WRITE, bytes.fromhex("14 00 FF FF FD 00"), len(packet))

@@ -41,7 +41,11 @@ class Bench:
 
     def write(self, name: str, value: int) -> Error:
         register = REGISTERS[name]
-        return self.servo.write(register.address, register.encode(value), self.now_s)
+        return self.servo.write(
+            register.address,
+            register.encode(value),
+            self.now_s,
+        )
 
     def read(self, name: str) -> int:
         register = REGISTERS[name]
@@ -248,9 +252,21 @@ def test_current_based_position_has_the_manuals_gains() -> None:
     servo["operating_mode"] = 5
     servo.control(0.001, 0.0, 0.0)
     servo.write(64, b"\x01", 0.001)
-    servo.write(80, struct.pack("<H", 160), 0.001)  # D = 160 / 16
-    servo.write(84, struct.pack("<H", 256), 0.001)  # P = 256 / 128
-    servo.write(116, struct.pack("<i", 2048 + 30), 0.001)
+    servo.write(
+        80,
+        struct.pack("<H", 160),
+        0.001,
+    )  # D = 160 / 16
+    servo.write(
+        84,
+        struct.pack("<H", 256),
+        0.001,
+    )  # P = 256 / 128
+    servo.write(
+        116,
+        struct.pack("<i", 2048 + 30),
+        0.001,
+    )
     velocity_rad_s = 2.0 * XM430_W350.position_unit_rad * 1000.0  # 2 counts per ms
     assert servo.control(0.002, 0.0, 0.0) == pytest.approx(60 * UNIT_A)
     assert servo.control(0.003, 0.0, velocity_rad_s) == pytest.approx((60 - 20) * UNIT_A)
@@ -284,7 +300,11 @@ def test_pwm_mode_is_a_voltage() -> None:
 
 def test_the_supply_bounds_the_current_at_speed() -> None:
     servo = Bench().powered(OperatingMode.CURRENT).servo
-    servo.write(102, struct.pack("<h", 300), 0.002)
+    servo.write(
+        102,
+        struct.pack("<h", 300),
+        0.002,
+    )
     for step, velocity_rad_s in enumerate([0.0, 2.0, 4.0, 4.5, 4.8, 6.0, -6.0]):
         current_A = servo.control(0.003 + step * 0.001, 0.0, velocity_rad_s)
         assert abs(5.22 * current_A + 2.49 * velocity_rad_s) <= 12.0 + 1e-9

@@ -129,7 +129,12 @@ def test_registers_and_their_rules(desk: Desk) -> None:
     assert desk.write(11, "current_limit", 300) == (sdk.COMM_SUCCESS, 7)
     assert desk.read(11, "current_limit") == 400
     assert desk.packets.write2ByteTxRx(desk.handler, 11, 116, 3) == (sdk.COMM_SUCCESS, 5)
-    _, result, error = desk.packets.readTxRx(desk.handler, 11, 145, 4)
+    _, result, error = desk.packets.readTxRx(
+        desk.handler,
+        11,
+        145,
+        4,
+    )
     assert (result, error) == (sdk.COMM_SUCCESS, 4)
 
 
@@ -150,7 +155,12 @@ def test_header_bytes_in_the_data(desk: Desk) -> None:
 def test_sync_read_and_fast_sync_read_of_five(desk: Desk) -> None:
     desk.rotors.angle_rad = [0.1 * index for index in range(5)]
     for fast in (False, True):
-        group = sdk.GroupSyncRead(desk.handler, desk.packets, 126, 10)
+        group = sdk.GroupSyncRead(
+            desk.handler,
+            desk.packets,
+            126,
+            10,
+        )
         assert all(group.addParam(servo_id) for servo_id in IDS)
         desk.handler.wait(0.01)
         assert (group.fastSyncRead() if fast else group.txRxPacket()) == sdk.COMM_SUCCESS
@@ -160,7 +170,12 @@ def test_sync_read_and_fast_sync_read_of_five(desk: Desk) -> None:
 
 def test_old_firmware_knows_no_fast_sync_read(desk: Desk) -> None:
     desk.servos[0]["firmware_version"] = 44
-    group = sdk.GroupSyncRead(desk.handler, desk.packets, 126, 10)
+    group = sdk.GroupSyncRead(
+        desk.handler,
+        desk.packets,
+        126,
+        10,
+    )
     assert group.addParam(11)
     assert group.fastSyncRead() == sdk.COMM_RX_TIMEOUT
     assert group.txRxPacket() == sdk.COMM_SUCCESS
@@ -170,7 +185,12 @@ def test_sync_write_of_the_goal_block_pushes(desk: Desk) -> None:
     for servo_id in IDS:
         assert desk.write(servo_id, "operating_mode", 5) == (sdk.COMM_SUCCESS, 0)
         assert desk.write(servo_id, "torque_enable", 1) == (sdk.COMM_SUCCESS, 0)
-    group = sdk.GroupSyncWrite(desk.handler, desk.packets, 102, 18)
+    group = sdk.GroupSyncWrite(
+        desk.handler,
+        desk.packets,
+        102,
+        18,
+    )
     for index, servo_id in enumerate(IDS):
         far = 1_048_575 if index % 2 else -1_048_575
         assert group.addParam(servo_id, list(struct.pack("<hiIIi", 20 + index, 0, 0, 0, far)))
@@ -256,7 +276,11 @@ def test_unplugged_and_plugged_in_again(plugged: PluggedDesk) -> None:
     assert plugged.port.path.is_symlink()
     handler = sdk.PortHandler(str(plugged.port.path))
     assert handler.openPort()
-    value, result, _ = plugged.packets.read1ByteTxRx(handler, 11, 65)
+    value, result, _ = plugged.packets.read1ByteTxRx(
+        handler,
+        11,
+        65,
+    )
     assert (value, result) == (1, sdk.COMM_SUCCESS), "the servos kept their power"
     handler.closePort()
     plugged.handler.openPort()
@@ -307,7 +331,11 @@ class Line:
     ) -> None:
         self.now_s = 0.0
         self.rotors = Rotors(servos)
-        self.bus = VirtualBus(servos, self.rotors.advance, faults=faults)
+        self.bus = VirtualBus(
+            servos,
+            self.rotors.advance,
+            faults=faults,
+        )
         self.port = MemoryPort(self.bus, lambda: self.now_s)
 
     def ask(
@@ -358,7 +386,8 @@ def test_memory_port_delivers_in_time() -> None:
     assert line.port.in_waiting == 0
     line.now_s = 0.000241
     assert line.port.in_waiting == 14
-    assert len(line.port.read(4)) == 4 and len(line.port.read(100)) == 10
+    assert len(line.port.read(4)) == 4
+    assert len(line.port.read(100)) == 10
 
 
 def test_broadcasts_but_ping_are_obeyed_silently() -> None:
@@ -373,7 +402,11 @@ def test_broadcasts_but_ping_are_obeyed_silently() -> None:
 
 def test_a_silent_servo_silences_those_after_it() -> None:
     line = Line(fast_servos(), Faults(hang={13}))
-    answers = line.ask(BROADCAST_ID, Code.SYNC_READ, sync_read(126, 10))
+    answers = line.ask(
+        BROADCAST_ID,
+        Code.SYNC_READ,
+        sync_read(126, 10),
+    )
     assert [packet.id for packet in answers] == [11, 12]
     assert line.ask(BROADCAST_ID, Code.FAST_SYNC_READ, sync_read(126, 10)) == [], "it breaks off"
     assert line.ask(13, Code.PING) == []
@@ -383,8 +416,16 @@ def test_a_silent_servo_silences_those_after_it() -> None:
 
 def test_a_hung_servo_trips_its_watchdog_alone() -> None:
     line = Line(fast_servos())
-    line.ask(BROADCAST_ID, Code.WRITE, bytes([64, 0, 1]))
-    line.ask(BROADCAST_ID, Code.WRITE, bytes([98, 0, 10]))
+    line.ask(
+        BROADCAST_ID,
+        Code.WRITE,
+        bytes([64, 0, 1]),
+    )
+    line.ask(
+        BROADCAST_ID,
+        Code.WRITE,
+        bytes([98, 0, 10]),
+    )
     line.bus.faults.hang.add(13)
     for _ in range(5):
         line.ask(11, Code.PING)
@@ -401,11 +442,18 @@ def test_the_wrong_baud_rate_is_not_understood() -> None:
 
 def test_a_damaged_request_is_a_crc_error() -> None:
     line = Line(fast_servos())
-    packet = bytearray(encode_instruction(11, Code.WRITE, bytes([65, 0, 1])))
+    packet = bytearray(
+        encode_instruction(
+            11,
+            Code.WRITE,
+            bytes([65, 0, 1]),
+        )
+    )
     packet[10] ^= 0x01
     replies = line.bus.receive(bytes(packet), 0.0)
     answer = Parser().feed(replies[0].data)[0]
-    assert isinstance(answer, Instruction) and answer.params == b"\x03"
+    assert isinstance(answer, Instruction)
+    assert answer.params == b"\x03"
     assert line.bus.servos[0]["led"] == 0
 
 
@@ -463,7 +511,8 @@ def test_faults_reach_the_vendors_library(desk: Desk) -> None:
     desk.bus.faults.drop = 0.0
     desk.bus.faults.corrupt = 1.0
     results = {desk.packets.ping(desk.handler, 11)[1] for _ in range(5)}
-    assert results and sdk.COMM_SUCCESS not in results
+    assert results
+    assert sdk.COMM_SUCCESS not in results
     desk.bus.faults.corrupt = 0.0
     assert desk.packets.ping(desk.handler, 11)[1] == sdk.COMM_SUCCESS
 

@@ -24,7 +24,11 @@ def pushed_rad(kind: type[HandledRobot], seed: int) -> float:
     """How far an elbow is pushed while the other joints are held [rad]."""
     robot = load_robot("open_manipulator_x")
     with simulated():
-        held = kind(robot, Truth.draw(robot, seed), seed=seed)
+        held = kind(
+            robot,
+            Truth.draw(robot, seed),
+            seed=seed,
+        )
         held.hold(Payload(0.05))
         held.advance(0.0)
 
@@ -36,7 +40,12 @@ def pushed_rad(kind: type[HandledRobot], seed: int) -> float:
         for servo in held.servos.values():
             write(servo, "operating_mode", int(OperatingMode.CURRENT_BASED_POSITION), 0.0)
             write(servo, "torque_enable", 1, 0.0)
-            write(servo, "goal_current", round(1.6 / servo.model.current_unit_A), 0.0)
+            write(
+                servo,
+                "goal_current",
+                round(1.6 / servo.model.current_unit_A),
+                0.0,
+            )
             write(servo, "goal_position", servo["present_position"], 0.0)
         for quarter in range(1, 5):  # all at once would be taken for a process that was not run
             held.advance(0.25 * quarter)
@@ -45,7 +54,12 @@ def pushed_rad(kind: type[HandledRobot], seed: int) -> float:
         write(elbow, "torque_enable", 0, 1.0)
         write(elbow, "operating_mode", int(OperatingMode.CURRENT), 1.0)
         write(elbow, "torque_enable", 1, 1.0)
-        write(elbow, "goal_current", round(PUSH_A / elbow.model.current_unit_A), 1.0)
+        write(
+            elbow,
+            "goal_current",
+            round(PUSH_A / elbow.model.current_unit_A),
+            1.0,
+        )
         held.advance(1.0 + PUSHED_S)
         return held.arm.position()["joint3"] - before
 

@@ -82,10 +82,8 @@ def arm(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Calibrated]:
 def test_refused_without_the_empty_container(arm: Calibrated) -> None:
     assert not arm.refused.success
     assert "the empty container has not been recorded" in arm.refused.message
-    assert (
-        "~/record_container_baseline" in arm.refused.message
-        and "container.mass=KG" in arm.refused.message
-    )
+    assert "~/record_container_baseline" in arm.refused.message
+    assert "container.mass=KG" in arm.refused.message
     assert not arm.recorded_then, "nothing moved"
 
 
@@ -94,11 +92,9 @@ def test_the_empty_container_is_recorded_and_weighed(arm: Calibrated) -> None:
     assert arm.baseline.success, arm.baseline.message
     bag = arm.folders("container_baseline")[-1] / "bag"
     kept = arm.data / "open_manipulator_x_container_baseline"
-    assert (
-        kept.resolve() == bag.resolve()
-        and list(bag.glob("*.mcap"))
-        and str(bag) in arm.baseline.message
-    )
+    assert kept.resolve() == bag.resolve()
+    assert list(bag.glob("*.mcap"))
+    assert str(bag) in arm.baseline.message
     shell = json.loads((bag.parent / "estimate.json").read_text())["estimates"][0]
     low, high = shell["ci95"]
     assert abs(shell["value"] - SHELL_KG) < max(0.001, high - low)
@@ -108,7 +104,8 @@ def test_the_empty_container_is_recorded_and_weighed(arm: Calibrated) -> None:
     assert any(f"holds Payload(mass_kg={SHELL_KG}" in words for words in arm.held), arm.held
     assert arm.client.wait_for(lambda: "holds Container" in arm.held[-1]), arm.held
     told = [estimate for estimate in arm.client.estimates if estimate.get("probe") == "payload"]
-    assert told and float(told[-1]["payload_mass"]) == shell["value"]
+    assert told
+    assert float(told[-1]["payload_mass"]) == shell["value"]
     assert not arm.client.masses, "what was asked for is a sphere's mass, and there is none yet"
 
 
@@ -133,14 +130,17 @@ def test_spheres_are_weighed(arm: Calibrated, sphere_kg: float) -> None:
         lambda: told() and bool(client.estimates) and client.estimates[-1]["probe"] == "container"
     )
     final = client.estimates[-1]
-    assert final["final"] == "true" and final["verdict"] == "accepted"
-    assert float(final["sphere_mass"]) == client.masses[-1] and final["sphere_mass.unit"] == "kg"
+    assert final["final"] == "true"
+    assert final["verdict"] == "accepted"
+    assert float(final["sphere_mass"]) == client.masses[-1]
+    assert final["sphere_mass.unit"] == "kg"
     # half an interval is 1.2 to 1.5 g here: what lies two of them off is wrong, and a width beyond 4 g is of no use
     for mass, truth in (("sphere_mass", sphere_kg), ("container_mass", SHELL_KG)):
         low, high = json.loads(final[f"{mass}.ci95"])
         assert abs(float(final[mass]) - truth) < high - low < 0.004, final
     baseline = (arm.data / "open_manipulator_x_container_baseline").resolve()
-    assert f"old: {baseline}" in answer.message and "older than" not in answer.message
+    assert f"old: {baseline}" in answer.message
+    assert "older than" not in answer.message
     # a sphere that rolls is no rigid payload, and no live estimate of one makes sense
     assert all(math.isnan(payload.inertia.m) for payload in client.payloads)
     assert all(estimate["final"] == "true" for estimate in client.estimates)
@@ -152,12 +152,14 @@ def test_spheres_are_weighed(arm: Calibrated, sphere_kg: float) -> None:
     box = shown[Marker.CUBE]
     words = shown[Marker.TEXT_VIEW_FACING]
     assert ball.header.frame_id == box.header.frame_id == "end_effector_link"
-    assert ball.scale.x == 0.02 and ball.pose.position.x == 0.035
+    assert ball.scale.x == 0.02
+    assert ball.pose.position.x == 0.035
     assert (box.scale.x, box.scale.y, box.scale.z) == (
         0.06,
         0.04,
         0.04,
-    ) and box.pose.orientation.w == 1.0
+    )
+    assert box.pose.orientation.w == 1.0
     assert words.text.startswith(f"{1e3 * client.masses[-1]:.1f}")
 
 
@@ -195,7 +197,8 @@ def test_what_is_stated_about_the_container_is_a_parameter(arm: Calibrated) -> N
         (["sphere.camera=/camera"], "records no camera"),
     ):
         result = client.set("/identifier", "settings", facts)
-        assert not result.successful and reason in result.reason
+        assert not result.successful
+        assert reason in result.reason
     assert client.set(
         "/identifier", "settings", ["sphere.radius=0.01", "payload.size=0.03"]
     ).successful
@@ -206,7 +209,9 @@ def test_what_is_stated_about_the_container_is_a_parameter(arm: Calibrated) -> N
     ):
         assert client.set("/identifier", "container_baseline", baseline).successful
         answer = client.call("/identifier/calibrate_container")
-        assert not answer.success and reason in answer.message and "\n" not in answer.message
+        assert not answer.success
+        assert reason in answer.message
+        assert "\n" not in answer.message
     assert len(arm.folders("container")) == known, "nothing moved"
 
 

@@ -39,7 +39,8 @@ def test_what_it_shows(probe: str, tmp_path: Path) -> None:
     assert found, shown.sentence
     value, low, high = (unit * float(each) for each in found.groups())
     assert abs(value - truth) < high - low < widest, shown
-    assert shown.value == pytest.approx(value, rel=0.02) and shown.truth == truth
+    assert shown.value == pytest.approx(value, rel=0.02)
+    assert shown.truth == truth
     assert on_the_page in shown.report.read_text()
     if probe == "container":
         empty = re.search(r"empty container ([\d.]+) g", "\n".join(told))

@@ -39,7 +39,11 @@ class Arm:
         self._clock = client.clock
         self._stamp = client.node.get_clock().now().nanoseconds
         self._ended = self._clock.event()
-        self._thread = self._clock.thread(self._play, "arm", group="arm")
+        self._thread = self._clock.thread(
+            self._play,
+            "arm",
+            group="arm",
+        )
         self._thread.start()
 
     def _play(self) -> None:
@@ -52,7 +56,15 @@ class Arm:
             if self._ended.wait(max(0.0, begun_s + at_s - self._clock.now())):
                 return
             stamp_ns = begun_ns + round(1e9 * at_s)
-            self._publisher.publish(joint_state(stamp_ns, motion.joints, position, [], current))
+            self._publisher.publish(
+                joint_state(
+                    stamp_ns,
+                    motion.joints,
+                    position,
+                    [],
+                    current,
+                )
+            )
 
     def stop(self) -> None:
         self._ended.set()
@@ -68,7 +80,11 @@ def test_the_robot_is_that_of_the_topic(tmp_path: Path) -> None:
     )
     calibration = tmp_path / "motions.yaml"
     write_calibration(calibration, robot, learnt)
-    held = twin.record("held", 180.0, (HELD_KG, [0.0, 0.0, 0.0]))
+    held = twin.record(
+        "held",
+        180.0,
+        (HELD_KG, [0.0, 0.0, 0.0]),
+    )
     text = (tmp_path / "twin.urdf").read_text()
     with world(tmp_path / "data", only=()) as made:
         parameters = {
@@ -101,13 +117,12 @@ def test_the_robot_is_that_of_the_topic(tmp_path: Path) -> None:
             assert client.wait_for(lambda: bool(told)), client.log("identifier")
             assert says("waits for /arm/robot_description"), told
             answer = client.call("/arm/identifier/weigh")
-            assert (
-                not answer.success
-                and "not ready: waits for /arm/robot_description" in answer.message
-            )
+            assert not answer.success
+            assert "not ready: waits for /arm/robot_description" in answer.message
             publisher.publish(String(data="no description"))
             assert says("not XML"), told
-            assert told[-1][0] == "starting" and "waits for another" in told[-1][1]
+            assert told[-1][0] == "starting"
+            assert "waits for another" in told[-1][1]
             publisher.publish(String(data=text))
             assert client.wait_for(lambda: told[-1][1].startswith("ready")), (
                 told,

@@ -30,13 +30,15 @@ class Bench:
     """A driver node that is active, and two publishers that know nothing of each other."""
 
     def __init__(self, client: Client) -> None:
-        self.client, self.clock = client, client.clock
+        self.client = client
+        self.clock = client.clock
         self.process = client.world.processes["driver"]
         self.node: Any = self.process.node
         self.virtual = client.world.arm
         self.statuses: list[dict[str, str]] = []
         self.motors: list[dict[str, str]] = []
-        listen, self.other = client.node.create_subscription, client.node
+        listen = client.node.create_subscription
+        self.other = client.node
         listen(
             DiagnosticStatus,
             "/driver/status",
@@ -100,7 +102,13 @@ class Bench:
         return dict(self.virtual.truth()[0])
 
     def call(self, kind: Any, service: str, request: Any) -> Any:
-        return self.client.answer(self.client.begin(service, kind, request))
+        return self.client.answer(
+            self.client.begin(
+                service,
+                kind,
+                request,
+            )
+        )
 
     def ask(self, do: Callable[[Any], Any]) -> None:
         """Have the node do something, and wait until it is done."""
@@ -143,7 +151,8 @@ def test_a_plain_array_still_drives(bench: Bench) -> None:
         lambda: bench.position()["joint3"] < here - 0.05,
         lambda: bench.owner.publish(Float64MultiArray(data=[0.0, 0.0, PUSH["joint3"], 0.0, 0.0])),
     )
-    assert bench.modes["joint3"] == "driven" and bench.modes["joint2"] == "held"
+    assert bench.modes["joint3"] == "driven"
+    assert bench.modes["joint2"] == "held"
     bench.owner.publish(Float64MultiArray())
     bench.until(lambda: bench.modes["joint3"] == "held")
 
@@ -176,16 +185,22 @@ def test_a_command_from_before_torque_came_on_is_refused(bench: Bench, waits: st
     graph = bench.client.world.graph
     positions = bench.other.create_publisher(Float64MultiArray, "/position_command", 10)
     switch = partial(bench.call, SetBool, "/driver/torque")
-    here, sent = bench.position()["joint1"], labelled({"joint1": bench.position()["joint1"] + 0.6})
+    here = bench.position()["joint1"]
+    sent = labelled({"joint1": bench.position()["joint1"] + 0.6})
     assert switch(SetBool.Request(data=False)).success
     if waits == "network":
-        usual, graph.network = graph.network, Network(delay_s=0.4, jitter_s=0.0)
+        usual = graph.network
+        graph.network = Network(delay_s=0.4, jitter_s=0.0)
         positions.publish(sent)
         graph.network = usual
         assert switch(SetBool.Request(data=True)).success
     else:
         bench.virtual.set_fault("delay=0.01")
-        answer = bench.client.begin("/driver/torque", SetBool, SetBool.Request(data=True))
+        answer = bench.client.begin(
+            "/driver/torque",
+            SetBool,
+            SetBool.Request(data=True),
+        )
         bench.spin(0.1)
         positions.publish(sent)  # while the node waits for its servos
         assert bench.client.answer(answer).success
@@ -206,9 +221,11 @@ def test_commands_are_obeyed_though_the_clock_was_set_while_one_was_on_its_way(
     here = bench.position()["joint1"]
     positions.publish(labelled({"joint1": here}))
     bench.spin(0.2)
-    usual, graph.network = graph.network, Network(delay_s=0.02, jitter_s=0.0)
+    usual = graph.network
+    graph.network = Network(delay_s=0.02, jitter_s=0.0)
     positions.publish(labelled({"joint1": here}))
-    graph.network, graph.set_by_s = usual, graph.set_by_s + set_s
+    graph.network = usual
+    graph.set_by_s = graph.set_by_s + set_s
     bench.spin(1.5)
     for on in (False, True):
         assert bench.call(SetBool, "/driver/torque", SetBool.Request(data=on)).success

@@ -54,7 +54,8 @@ def test_an_arm_behind_an_effort_controller_weighs(tmp_path: Path) -> None:
     ) as client:
         assert client.wait_for(lambda: bool(client.states))
         state = client.states[-1]
-        assert list(state.name) == sorted(state.name) and {*FOREIGN_JOINTS} < {*state.name}
+        assert list(state.name) == sorted(state.name)
+        assert {*FOREIGN_JOINTS} < {*state.name}
         assert all(math.isnan(speed) for speed in state.velocity)
         client.hear_less()
         # somebody else at the controller
@@ -74,5 +75,10 @@ def test_an_arm_behind_an_effort_controller_weighs(tmp_path: Path) -> None:
         name: drive.nominal_effort_per_current
         for name, drive in load_robot("open_manipulator_x").drive_trains.items()
     }
-    recording = read_recording(bag, nominal_torque_constants=constants, joint_order=list(constants))
-    assert recording.inputs is not None and recording.inputs.source == "/applied_effort"
+    recording = read_recording(
+        bag,
+        nominal_torque_constants=constants,
+        joint_order=list(constants),
+    )
+    assert recording.inputs is not None
+    assert recording.inputs.source == "/applied_effort"

@@ -45,7 +45,8 @@ def test_a_virtual_arm_is_calibrated_by_its_own_free_swings(tmp_path: Path) -> N
         )
     (path,) = (tmp_path / "data").glob("*_robot/calibration.yaml")
     calibration = load_robot(path).calibration
-    assert isinstance(calibration, Calibration) and calibration.swing_error > 0.0
+    assert isinstance(calibration, Calibration)
+    assert calibration.swing_error > 0.0
     for kind in ("coulomb", "armature"):
         found = calibration.quantities[kind, WRIST]
         assert (

@@ -25,7 +25,13 @@ def test_an_idle_identifier_takes_what_waits_at_once(tmp_path: Path) -> None:
         publisher = client.node.create_publisher(JointState, "/joint_states", 100)
         stamps = set()
         for row in range(1, 51):
-            publisher.publish(messages.joint_state(10**9 * row, ["joint1"], [0.0]))
+            publisher.publish(
+                messages.joint_state(
+                    10**9 * row,
+                    ["joint1"],
+                    [0.0],
+                )
+            )
             client.clock.sleep(0.001)
             stamps.add(node.inputs.stamp_ns)
         assert client.wait_for(lambda: node.inputs.stamp_ns == 50 * 10**9, 0.1)
@@ -39,7 +45,11 @@ def test_a_second_node_of_the_same_name_is_said_once(tmp_path: Path) -> None:
     with running(tmp_path, "identifier") as client:
         client.clock.sleep(60.0)
         assert "another node is called" not in client.log("identifier")
-        client.world.start("identifier", {"data_directory": tmp_path / "other"}, called="second")
+        client.world.start(
+            "identifier",
+            {"data_directory": tmp_path / "other"},
+            called="second",
+        )
         client.clock.sleep(60.0)
         said = [
             text for _, _, _, text in client.world.graph.log if "another node is called" in text

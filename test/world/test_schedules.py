@@ -40,7 +40,8 @@ RECORDED = (62, 178, 244)
 def test_every_kind_is_among_them() -> None:
     plans = [drawn(seed) for seed in PLAYED]
     kinds = Counter((each.plan, fault.kind) for each in plans for fault in each.faults)
-    assert {plan for plan, _ in kinds} == set(PLANS) and {kind for _, kind in kinds} == set(KINDS)
+    assert {plan for plan, _ in kinds} == set(PLANS)
+    assert {kind for _, kind in kinds} == set(KINDS)
     assert min(sum(kinds[plan, kind] for plan in PLANS) for kind in KINDS) >= 5
     assert (
         min(kinds["push", kind] for kind in KINDS if kind != "disk")
@@ -61,7 +62,13 @@ def test_every_kind_is_among_them() -> None:
 def play(folder: Path, *words: str) -> dict[str, Any]:
     """In a process of its own, which forks."""
     kept = folder / f"{len(list(folder.iterdir()))}.json"
-    command = [sys.executable, str(SCHEDULES), *words, "--json", str(kept)]
+    command = [
+        sys.executable,
+        str(SCHEDULES),
+        *words,
+        "--json",
+        str(kept),
+    ]
     done = subprocess.run(command, capture_output=True, text=True)
     assert done.returncode == 0, done.stdout[-6000:] + done.stderr[-2000:]
     found: dict[str, Any] = json.loads(kept.read_text())
@@ -76,7 +83,8 @@ def few(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
 
 
 def test_a_few_schedules(few: dict[str, Any]) -> None:
-    assert few["schedules"] == len(FAILED) + len(FEW) + len(RECORDED) and not few["failed"]
+    assert few["schedules"] == len(FAILED) + len(FEW) + len(RECORDED)
+    assert not few["failed"]
 
 
 @pytest.mark.long
@@ -88,13 +96,13 @@ def test_schedules(tmp_path: Path, block: int) -> None:
         "--together",
         "1",
     )
-    assert found["schedules"] == len(BLOCKS[block]) and not found["failed"]
+    assert found["schedules"] == len(BLOCKS[block])
+    assert not found["failed"]
 
 
 @pytest.mark.long
 def test_the_same_seed_gives_the_same_bytes(few: dict[str, Any], tmp_path: Path) -> None:
     """Whatever else was played before it."""
     again = play(tmp_path, ",".join(map(str, RECORDED)), "--digest")["recorded"]
-    assert again == {seed: few["recorded"][seed] for seed in again} and len(
-        set(again.values())
-    ) == len(RECORDED)
+    assert again == {seed: few["recorded"][seed] for seed in again}
+    assert len(set(again.values())) == len(RECORDED)

@@ -42,7 +42,11 @@ def arm(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Calibrated]:
     # the virtual robot's helper puts a weighed object of 100 g into the hand after the empty runs: those determine torque only
     # relative to the arm's own weight, which the file knows to 2 %, and those are 2 g of the heaviest object below
     # and they sit in the middle of the hand: not stated, that would be guessed to 5 mm, and decide the interval
-    identifier = {"reference_mass": 0.1, "reference_wait": 0.5, "settings": ["payload.com=[0,0,0]"]}
+    identifier = {
+        "reference_mass": 0.1,
+        "reference_wait": 0.5,
+        "settings": ["payload.com=[0,0,0]"],
+    }
     with running(folder, identifier=identifier) as client:
         answer = client.asked("/identifier/calibrate_robot")
         yield Calibrated(client, folder / "data", answer)
@@ -72,7 +76,8 @@ def test_objects_are_weighed(arm: Calibrated, mass_kg: float) -> None:
     # the interval reaches a gram and a half at most to either side, for zeros that may differ by 5 mrad; how often it holds:
     # test/benchmarks/coverage.py
     assert abs(client.masses[-1] - mass_kg) < high - low < 0.003, final
-    assert float(final["payload_mass"]) == client.masses[-1] and final["payload_mass.unit"] == "kg"
+    assert float(final["payload_mass"]) == client.masses[-1]
+    assert final["payload_mass.unit"] == "kg"
     assert final["calibration"].endswith("calibration.yaml")
 
     # while the probe was under way the interval shrank as samples came
@@ -90,7 +95,8 @@ def test_replaying_the_bag_gives_the_same_numbers_bit_for_bit(arm: Calibrated) -
     live = replayed_alike(result)
     assert live["estimates"][0]["value"] == arm.client.masses[-1]
     bag = result.parent / "bag"
-    assert list(bag.glob("*.mcap")) and bag.stat().st_mtime <= result.stat().st_mtime
+    assert list(bag.glob("*.mcap"))
+    assert bag.stat().st_mtime <= result.stat().st_mtime
     assert (result.parent / "report.html").read_text().count("<svg") >= 3
 
 
@@ -112,10 +118,8 @@ def test_what_the_driver_publishes_is_the_contract(arm: Calibrated) -> None:
     assert client.wait_for(lambda: len(client.states) > 100 and len(client.applied) > 100)
     state = client.states[-1]
     names = ["joint1", "joint2", "joint3", "joint4", "gripper_left_joint"]
-    assert (
-        list(state.name) == names
-        and len(state.position) == len(state.velocity) == len(state.effort) == 5
-    )
+    assert list(state.name) == names
+    assert len(state.position) == len(state.velocity) == len(state.effort) == 5
     state_stamps = [(m.header.stamp.sec, m.header.stamp.nanosec) for m in client.states[-60:-20]]
     # two topics are heard one after the other: of the newest only one may have come
     assert client.wait_for(
@@ -140,8 +144,13 @@ def test_the_recording_reads_like_any_bag(arm: Calibrated) -> None:
         name: drive.nominal_torque_constant / drive.transmission
         for name, drive in load_robot("open_manipulator_x").drive_trains.items()
     }
-    recording = read_recording(bag, nominal_torque_constants=constants, joint_order=list(constants))
-    assert recording.inputs is not None and recording.inputs.source == "/applied_effort"
+    recording = read_recording(
+        bag,
+        nominal_torque_constants=constants,
+        joint_order=list(constants),
+    )
+    assert recording.inputs is not None
+    assert recording.inputs.source == "/applied_effort"
     assert not [note for note in recording.notes if "lost" not in note], recording.notes
 
 
@@ -159,7 +168,8 @@ def test_what_is_refused_withdraws_what_stood(arm: Calibrated) -> None:
     withdrawn = client.withdrawn
     assert client.call("/driver/stop").success
     answer = client.call("/identifier/calibrate_payload")
-    assert not answer.success and "the driver is stopped" in answer.message
+    assert not answer.success
+    assert "the driver is stopped" in answer.message
     assert client.wait_for(
         lambda: client.withdrawn == withdrawn + 1 and client.estimates[-1]["verdict"] == "failed"
     )

@@ -10,7 +10,8 @@ def played(seed: int) -> list[tuple[str, int, float]]:
     """Two threads that share a lock; what they did, and when."""
     clock = SimulatedClock(seed)
     said = []
-    lock, ended = clock.lock(), clock.event()
+    lock = clock.lock()
+    ended = clock.event()
 
     def work(name: str, count: int) -> None:
         for number in range(count):
@@ -56,7 +57,8 @@ def test_who_is_killed_does_nothing_any_more() -> None:
     clock.sleep(3.5)
     clock.kill("killed")
     clock.sleep(10.0)
-    assert said == [0, 1, 2] and not thread.is_alive()
+    assert said == [0, 1, 2]
+    assert not thread.is_alive()
 
 
 def test_who_is_stalled_goes_on_later() -> None:

@@ -106,12 +106,13 @@ def test_blocks_are_distinguished(arm: Calibrated, modulus: float, ratio: float)
     )
     assert client.wait_for(client.final)
     final = client.estimates[-1]
-    assert (
-        final["probe"] == "softness" and final["final"] == "true" and final["verdict"] == "accepted"
-    )
+    assert final["probe"] == "softness"
+    assert final["final"] == "true"
+    assert final["verdict"] == "accepted"
     assert client.wait_for(lambda: bool(said("youngs_modulus")))
     told = said("youngs_modulus")[-1]
-    assert float(final["youngs_modulus"]) == told and final["youngs_modulus.unit"] == "Pa"
+    assert float(final["youngs_modulus"]) == told
+    assert final["youngs_modulus.unit"] == "Pa"
     shown_told = shown(
         "Pa",
         told,
@@ -119,7 +120,8 @@ def test_blocks_are_distinguished(arm: Calibrated, modulus: float, ratio: float)
     )
     assert f"block {shown_told}, 95 % interval" in answer.message
     low, high = json.loads(final["youngs_modulus.ci95"])
-    assert abs(told - modulus) < 0.2 * modulus and abs(told - modulus) < 2.0 * (high - low)
+    assert abs(told - modulus) < 0.2 * modulus
+    assert abs(told - modulus) < 2.0 * (high - low)
     assert float(final["lame_mu"]) == said("lame_mu")[-1]
     # what is not determined is not published either
     assert (final["lame_lambda"] == "not determined") == (not said("lame_lambda"))
@@ -133,9 +135,11 @@ def test_blocks_are_distinguished(arm: Calibrated, modulus: float, ratio: float)
     }
     cube = drawn[Marker.CUBE]
     words = drawn[Marker.TEXT_VIEW_FACING]
-    assert cube.header.frame_id == "end_effector_link" and cube.scale.x == 0.03
+    assert cube.header.frame_id == "end_effector_link"
+    assert cube.scale.x == 0.03
     assert words.text.startswith(shown_told.split()[0])
-    assert not client.masses and not client.payloads
+    assert not client.masses
+    assert not client.payloads
 
 
 def test_a_block_is_squeezed_until_it_is_sure(arm: Calibrated) -> None:
@@ -156,7 +160,8 @@ def test_a_block_is_squeezed_until_it_is_sure(arm: Calibrated) -> None:
     final = client.estimates[-1]
     low, high = json.loads(final["youngs_modulus.ci95"])
     told = float(final["youngs_modulus"])
-    assert final["verdict"] == "accepted" and abs(told - 20e3) < high - low
+    assert final["verdict"] == "accepted"
+    assert abs(told - 20e3) < high - low
     assert client.wait_for(lambda: abs(client.position(GRIPPER) - began) < 0.001)
     assert "Pushes, one by one" in (arm.folders()[-1] / "choices.html").read_text()
 
@@ -179,13 +184,17 @@ def test_no_squeeze_goes_too_far(arm: Calibrated) -> None:
         if not client.set("/identifier", name, value).successful:
             pytest.fail(f"{name} must be changeable while the node runs")
         answer = client.call("/identifier/calibrate_softness")
-        assert not answer.success and reason in answer.message and "\n" not in answer.message
+        assert not answer.success
+        assert reason in answer.message
+        assert "\n" not in answer.message
     assert client.set("/identifier", "softness_sequence", "softness").successful
     assert client.set("/identifier", "settings", ["block.size=0.01"]).successful
     answer = client.call("/identifier/calibrate_softness")
-    assert not answer.success and "largest_squeeze=0.4" in answer.message
+    assert not answer.success
+    assert "largest_squeeze=0.4" in answer.message
     refused = client.set("/identifier", "settings", ["block.hardness=1"])
-    assert not refused.successful and "unknown" in refused.reason
+    assert not refused.successful
+    assert "unknown" in refused.reason
     assert client.set(
         "/identifier", "settings", ["block.size=0.03", "payload.size=0.03"]
     ).successful

@@ -46,14 +46,19 @@ def test_a_calibration_asks_for_further_pushes_where_its_sequence_says_until(
     robot = load_robot("open_manipulator_x")
     made: list[Any] = []
     learnt = SimpleNamespace(calibration=None, verdict=Verdict.ACCEPTED)
-    monkeypatch.setattr(jobs, "calibrate_from_bags", lambda bags, references, options: learnt)
+    monkeypatch.setattr(
+        jobs,
+        "calibrate_from_bags",
+        lambda bags, references, options: learnt,
+    )
     monkeypatch.setattr(
         jobs,
         "chosen_known",
         lambda *asked: made.append(asked) or [ExcitationRun("joint3", -0.3, 0.5)],
     )
     work: Any = jobs.Jobs.__new__(jobs.Jobs)
-    work._results, work._node = SimpleNamespace(tell=print), SimpleNamespace(say=print)
+    work._results = SimpleNamespace(tell=print)
+    work._node = SimpleNamespace(say=print)
     path = tmp_path / "empty.yaml"
     section = {
         "hand": "empty",
@@ -61,8 +66,13 @@ def test_a_calibration_asks_for_further_pushes_where_its_sequence_says_until(
     }
     path.write_text(json.dumps({"excitation": section}))
     asked = (Job("robot", "calibrate_robot"), str(path), Request(robot), [tmp_path], {}, 0.0)
-    assert work._chosen(*asked) == "" and not made
-    section["until"] = {"half_interval": 5e-4, "unit": "kg", "at_most_s": 40}
+    assert work._chosen(*asked) == ""
+    assert not made
+    section["until"] = {
+        "half_interval": 5e-4,
+        "unit": "kg",
+        "at_most_s": 40,
+    }
     path.write_text(json.dumps({"excitation": section}))
     assert work._chosen(*asked) == "", "nothing was learnt that one could go by"
     learnt.calibration = Calibration(
@@ -71,12 +81,11 @@ def test_a_calibration_asks_for_further_pushes_where_its_sequence_says_until(
         np.array([[1e-4]]),
     )
     sequence = load_sequence(work._chosen(*asked), robot)
-    assert made[0][1:4] == (0.0, 5e-4, 40.0) and made[0][0].calibration is learnt.calibration
-    assert (
-        [run.duration_s for run in sequence.runs] == [0.5]
-        and sequence.until is None
-        and sequence.hand == "empty"
-    )
+    assert made[0][1:4] == (0.0, 5e-4, 40.0)
+    assert made[0][0].calibration is learnt.calibration
+    assert [run.duration_s for run in sequence.runs] == [0.5]
+    assert sequence.until is None
+    assert sequence.hand == "empty"
 
 
 def test_no_push_is_chosen_before_it_is_known_where_the_arm_is(
@@ -124,7 +133,9 @@ def test_a_calibration_in_use_is_brought_up_to_date(
     )
 
     work: Any = jobs.Jobs.__new__(jobs.Jobs)
-    work._workspace, work._inputs, work._results = workspace, inputs, results
+    work._workspace = workspace
+    work._inputs = inputs
+    work._results = results
     work._value = {"robot_sequence": "empty_hand"}.__getitem__
     work.record = lambda *given: recorded.append(given[2]) or bag
     work._keep = lambda write: write()
@@ -141,12 +152,10 @@ def test_a_calibration_in_use_is_brought_up_to_date(
         refreshed()
     workspace.calibration = old
     success, words = refreshed()
-    assert (
-        success
-        and words.startswith("up to date: made less than ten minutes ago")
-        and not recorded
-        and not anew
-    )
+    assert success
+    assert words.startswith("up to date: made less than ten minutes ago")
+    assert not recorded
+    assert not anew
     made_s += 5 * 86400.0
     success, words = refreshed()
     assert anew == ["prepare", "begin"], "the running estimate goes on with it"
@@ -161,9 +170,9 @@ def test_a_calibration_in_use_is_brought_up_to_date(
     ]
     (asked,) = recorded
     sequence = load_sequence(asked, load_robot("open_manipulator_x"))
-    assert (
-        sequence.hand == "empty" and len(sequence.runs) == 1 and sequence.approach_velocity == 1.2
-    )
+    assert sequence.hand == "empty"
+    assert len(sequence.runs) == 1
+    assert sequence.approach_velocity == 1.2
     assert (bag.parent / "report.html").exists()
 
 
@@ -193,7 +202,8 @@ def test_a_virtual_arm_weighs_until_it_is_sure(tmp_path: Path) -> None:
     result = sorted((tmp_path / "data").glob("*_payload/estimate.json"))[-1]
     mass = replayed_alike(result)["estimates"][0]
     low, high = mass["ci95"]
-    assert low < OBJECT_KG < high and high - low < 2.0 * TARGET_KG
+    assert low < OBJECT_KG < high
+    assert high - low < 2.0 * TARGET_KG
 
 
 def asked_for(
@@ -207,7 +217,11 @@ def asked_for(
     path.write_text(
         json.dumps({"excitation": {"hand": "payload", "approach_velocity": 1.2, "until": until}})
     )
-    return {"payload_sequence": str(path), "settings": ["payload.com=[0,0,0]"], "live_period": 0.0}
+    return {
+        "payload_sequence": str(path),
+        "settings": ["payload.com=[0,0,0]"],
+        "live_period": 0.0,
+    }
 
 
 def weighed(

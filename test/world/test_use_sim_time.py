@@ -46,8 +46,16 @@ class Simulation:
             **dict.fromkeys(load_robot("open_manipulator_x").drive_trains, 0.0),
             **PARKED,
         }
-        self._clock = self.client.node.create_publisher(Clock, "/clock", 10)
-        self._states = self.client.node.create_publisher(JointState, "/joint_states", 100)
+        self._clock = self.client.node.create_publisher(
+            Clock,
+            "/clock",
+            10,
+        )
+        self._states = self.client.node.create_publisher(
+            JointState,
+            "/joint_states",
+            100,
+        )
         self.node._send = lambda command: self.sent.append((self.node.now_s(), command))
 
     @property
@@ -104,7 +112,8 @@ def test_a_push_lasts_as_long_on_the_clock_of_a_simulation(
     client = simulation.client
     machine = simulation.machine
     answer = client.call("/excitation/run")
-    assert not answer.success and "no time comes on /clock" in answer.message
+    assert not answer.success
+    assert "no time comes on /clock" in answer.message
     for _ in range(10):
         simulation.step()
     answer = simulation.run()
@@ -166,9 +175,14 @@ def test_speeds_are_known_again_after_a_jump_back() -> None:
     """A mean from then to now would have no sense until the clock has come there again."""
     states = JointStates(["a"], 0.5)
     for row in range(20):
-        states.add(10.0 + 0.01 * row, ["a"], [0.02 * row])
+        states.add(
+            10.0 + 0.01 * row,
+            ["a"],
+            [0.02 * row],
+        )
     heard = [states.add(5.0 + 0.01 * row, ["a"], [0.4 - 0.01 * row]) for row in range(20)]
-    assert heard[-1] is not None and heard[-1].velocity["a"] == pytest.approx(-1.0)
+    assert heard[-1] is not None
+    assert heard[-1].velocity["a"] == pytest.approx(-1.0)
 
 
 @pytest.mark.parametrize("jump_s", [-5.0, 5.0])
@@ -177,7 +191,12 @@ def test_a_weighing_after_a_jump_of_the_clock_is_not_late(tmp_path: Path, jump_s
     on = {"use_sim_time": True}
     probe = tmp_path / "push.yaml"
     probe.write_text(PROBE)
-    identifier = {**on, "payload_sequence": str(probe), "report": False, "live_period": 0.0}
+    identifier = {
+        **on,
+        "payload_sequence": str(probe),
+        "report": False,
+        "live_period": 0.0,
+    }
     with running(tmp_path, driver=on, excitation=on, identifier=identifier) as client:
         clock = client.clock
         ahead_s = [0.0]

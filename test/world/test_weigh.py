@@ -43,7 +43,11 @@ class Work:
         self._client = client
         self._clock = client.clock
         self._ended = self._clock.event()
-        self._thread = self._clock.thread(self._move, "work", group="work")
+        self._thread = self._clock.thread(
+            self._move,
+            "work",
+            group="work",
+        )
         self._thread.start()
 
     def stop(self) -> None:
@@ -103,7 +107,12 @@ def test_something_picked_up_while_the_arm_works_is_noticed_and_weighed(tmp_path
             client.clock.sleep(22.0)
             empty = bag_of(client, tmp_path / "empty")
             calibration = tmp_path / "motions.yaml"
-            calibrated = calibrate_from_bags([empty], {}, Options(effort_unit="N.m"), calibration)
+            calibrated = calibrate_from_bags(
+                [empty],
+                {},
+                Options(effort_unit="N.m"),
+                calibration,
+            )
             assert calibration.exists(), calibrated.reasons
             client.world.start(
                 "identifier",
@@ -161,9 +170,8 @@ def test_something_picked_up_while_the_arm_works_is_noticed_and_weighed(tmp_path
             assert client.wait_for(lambda: len(efforts) > 3 and bool(capabilities)), client.log(
                 "identifier"
             )
-            assert capabilities[-1]["can_carry"] == "true" and list(efforts[-1].name) == list(
-                efforts[0].name
-            )
+            assert capabilities[-1]["can_carry"] == "true"
+            assert list(efforts[-1].name) == list(efforts[0].name)
             asks.publish(JointState(name=["joint2"], position=[1.4]))
             assert client.wait_for(lambda: capabilities[-1]["where"] == "to the goal"), capabilities
             assert float(capabilities[-1]["most"]) > 0.05 and capabilities[-1]["joint"] in JOINTS, (
