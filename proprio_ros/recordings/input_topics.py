@@ -13,7 +13,7 @@ from proprio_ros.recordings.read_options import ReadOptions
 from proprio_ros.recordings.reader import Bag
 from proprio_ros.recordings.stamps import order_of, sent_at, times_of
 from proprio_ros.recordings.topics import JOINT_STATE, InputTopic, Topic
-from proprio_ros.records import FloatArray, InputRecord, JointRecord, TimeArray
+from proprio_ros.records import FloatArray, InputRecord, JointRecord
 
 FOREIGN_CLOCK_NS = 500_000_000
 """Header stamps further than this from the recorder's time come from another clock (simulated time, another host)."""
@@ -45,15 +45,14 @@ def commanded(
         RecordingError: The commands cannot be read, or are efforts of a joint whose torque constant is not known.
     """
     noted = Noted(bag.path, topic.name)
-    columns, times_ns = _columns(
-        bag,
-        topic,
-        means,
-        states,
-        clock,
-        options,
-        noted,
-    )
+    conventions = options.conventions
+    if topic.msgtype == JOINT_STATE:
+        columns = clock.mended(joint_state_columns(bag, topic, ["effort"], conventions))
+        times_ns = times_of(columns, noted)
+    else:
+        arrays = array_columns(bag, topic, means, options.joint_order, states.names, conventions)
+        columns = clock.mended(arrays)
+        times_ns = columns.bag_ns
     if not len(times_ns):
         raise RecordingError(
             f"of no message of {topic.name} it is known when it was: {CLOCK_STEPS}", bag.path
@@ -78,39 +77,6 @@ def commanded(
         times_ns[latest], columns.names, current_A[latest], printable(topic.name), means.unit
     )
     return record, noted.notes
-
-
-def _columns(
-    bag: Bag,
-    topic: Topic,
-    means: InputTopic,
-    states: JointColumns,
-    clock: Clock,
-    options: ReadOptions,
-    noted: Noted,
-) -> tuple[JointColumns, TimeArray]:
-    """Messages of a topic as efforts by joint, and when they were sent, shape (M,) [ns]."""
-    if topic.msgtype == JOINT_STATE:
-        columns = clock.mended(
-            joint_state_columns(
-                bag,
-                topic,
-                ["effort"],
-                options.conventions,
-            )
-        )
-        return columns, times_of(columns, noted)
-    columns = clock.mended(
-        array_columns(
-            bag,
-            topic,
-            means,
-            options.joint_order,
-            states.names,
-            options.conventions,
-        )
-    )
-    return columns, columns.bag_ns
 
 
 def _currents(
