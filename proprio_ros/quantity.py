@@ -20,6 +20,8 @@ class Unit:
     in_si: float = 1.0  # how much of that one of it is
     digits: str = ""  # how a reader is shown a number of it
     called: tuple[str, ...] = ()  # what options, driver profiles and data sets call it
+    # a driver's numbers that are so many times off at most may be of it, where nobody says what they are
+    within: float = 4.0
 
     @property
     def per_si(self) -> float:
@@ -60,13 +62,15 @@ POSITIONS: Mapping[str, Unit] = _called(
 )
 """What a driver's positions may be in, by what it is called."""
 
-COUNT = Unit("count", "A", 2.69e-3, called=("raw",))
+NEAR_OTHERS = 1.5
+"""Per mille of a motor's rating lie near mA and raw counts."""
+COUNT = Unit("count", "A", 2.69e-3, called=("raw",), within=NEAR_OTHERS)
 """A count of Present Current of the XM430-W350 (ROBOTIS e-manual, control table, register 126); of other motors it differs."""
 
 EFFORTS: Mapping[str, Unit] = _called(
     Unit("N m", "N m", called=("N.m",)),
     Unit("A", "A", called=("A",)),
-    Unit("mA", "A", 1e-3, called=("mA",)),
+    Unit("mA", "A", 1e-3, called=("mA",), within=NEAR_OTHERS),
     COUNT,
 )
 """What `effort` of a foreign bag may mean; the message definition says N m (N for a slide), many drivers differ."""

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
 from proprio_ros.errors import RecordingError
+from proprio_ros.quantity import EFFORTS
 from proprio_ros.recordings.columns import JointColumns
 from proprio_ros.recordings.effort import CURRENT_PER_COUNT_A, EFFORT_UNITS, Effort, ampere
 from proprio_ros.recordings.noted import Noted
@@ -49,9 +50,6 @@ SURE_STDS = 3.0
 """Beside that, so many standard deviations of the ratio itself: readings are whole counts, have noise and come late."""
 # a reading so close to its command is not far from it; two counts of an XM430
 LEAST_CURRENT_A = 0.005
-SAME_UNIT = {"N.m": 4.0, "A": 4.0, "mA": 1.5, "raw": 1.5}
-"""Effort in no unit that is known is compared with no command: the nearest one must fit to this factor. Per mille of a motor's
-rating lie near mA and raw counts."""
 SETTLED_S = 0.1  # a motor follows a command within this time, delay of bus and driver included
 LATE_S = 0.05
 """A reading may be so much older than its stamp: what the mean of the command would be by then counts as uncertainty."""
@@ -320,7 +318,8 @@ def _effort_per_ampere(
         return abs(float(np.log(abs(gain.value) / per_A[unit])))
 
     unit = min(per_A, key=away)
-    if effort.unit is None and away(unit) > np.log(SAME_UNIT[unit]):
+    # effort in no unit that is known is compared with no command
+    if effort.unit is None and away(unit) > np.log(EFFORTS[unit].within):
         return None
     return PerAmpere(
         unit,

@@ -172,7 +172,8 @@ class PositionServo(Drive):
         """
         assert goal is not None
         distance = goal.at(times_s - delay_s, self.goal_speed_rad_s) - position
-        distance = np.sign(distance) * np.maximum(np.abs(distance) - self.dead_band_rad, 0.0)
+        beyond = np.maximum(np.abs(distance) - self.dead_band_rad, 0.0)
+        distance = np.sign(distance) * beyond
         return np.clip(self.gain_per_rad * distance, -self.limit, self.limit)
 
 

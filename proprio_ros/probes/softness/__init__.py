@@ -104,6 +104,17 @@ class Softness(
         sequence: ExcitationSequence,
         limits: Mapping[str, float],
     ) -> None:
+        """Refuse a sequence that drives another joint than a finger's, or may squeeze the block too far.
+
+        Args:
+            robot: As its file or its calibration states it.
+            facts: Of the block.
+            sequence: Whose runs squeeze.
+            limits: By name, that of a squeeze among them.
+
+        Raises:
+            ConfigurationError: It does.
+        """
         joint, *others = {run.joint for run in sequence.runs}
         if others or robot.model.joint(joint).kind != "prismatic":
             raise ConfigurationError(

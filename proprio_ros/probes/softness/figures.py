@@ -66,7 +66,7 @@ def _draw_block(axes: Any, shape: BlockShape, left: float, floor: float) -> None
     """A block between two fingers, as it is deformed, around `left`, with time and squeeze below `floor`."""
     from matplotlib.collections import PolyCollection
 
-    def draw(polygons: Any, facecolors: Any, edgecolors: str, alpha: float | None) -> None:
+    def _draw(polygons: Any, facecolors: Any, edgecolors: str, alpha: float | None) -> None:
         axes.add_collection(
             PolyCollection(
                 polygons,
@@ -82,9 +82,9 @@ def _draw_block(axes: Any, shape: BlockShape, left: float, floor: float) -> None
     corners = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]]) * half
     finger = np.column_stack([np.zeros(4), corners])  # (4, 3)
     faces, colors = _seen_faces(shape)
-    draw([_flat(finger - aside, left)], MUTED, MUTED, 0.9)
-    draw(_flat(faces, left), colors, f"{INK}40", None)
-    draw([_flat(finger + aside, left)], MUTED, MUTED, 0.45)
+    _draw([_flat(finger - aside, left)], MUTED, MUTED, 0.9)
+    _draw(_flat(faces, left), colors, f"{INK}40", None)
+    _draw([_flat(finger + aside, left)], MUTED, MUTED, 0.45)
     words = f"{shape.time_s:.2f} s\n{100.0 * max(shape.squeeze, 0.0):.0f} %"
     axes.text(left, floor, words, ha="center", va="top")
 
