@@ -77,7 +77,14 @@ def still_run(
     current_A: float,
     duration_s: float,
 ) -> Run:
-    """A run as it would be recorded, standing still."""
+    """A run as it would be recorded, standing still.
+
+    Args:
+        joint: The driven one.
+        pose: Where all joints stand [rad or m].
+        current_A: Constant from the start [A].
+        duration_s: Of the run [s].
+    """
     count = round(duration_s * RATE_HZ)
     held = {name: position for name, position in pose.items() if name != joint}
     return Run(
@@ -125,7 +132,13 @@ def candidate_joints(robot: Robot) -> list[str]:
 
 
 def start_positions(robot: Robot, joint: str, count: int) -> list[float]:
-    """Positions of a joint inside its limits, evenly over what is searched of them [rad]."""
+    """Positions of a joint inside its limits, evenly over what is searched of them [rad].
+
+    Args:
+        robot: Whose joint.
+        joint: Its name.
+        count: How many positions.
+    """
     limits = robot.model.joint(joint)
     lower = max(limits.lower, -WIDEST)
     upper = min(limits.upper, WIDEST)
@@ -167,7 +180,13 @@ def locked_poses(
     joint: str,
     count: int,
 ) -> list[dict[str, float]]:
-    """Poses over a grid of the locked joints that matter to the driven one, ``count`` positions of each; all others at zero."""
+    """Poses over a grid of the locked joints that matter to the driven one; all others are at zero.
+
+    Args:
+        robot: Whose joints.
+        joint: The driven one.
+        count: Positions of each locked joint.
+    """
     rest = zero_pose(robot)
     others = joints_that_matter(robot, joint)
     grids = [start_positions(robot, name, count) for name in others]
@@ -182,7 +201,14 @@ def start_poses(
     starts: int,
     locked: int,
 ) -> list[dict[str, float]]:
-    """Start poses over a grid of the driven joint and of those that matter to it, high enough above the base's plane."""
+    """Start poses over a grid of the driven joint and of those that matter to it, high enough above the base's plane.
+
+    Args:
+        robot: Whose joints.
+        joint: The driven one.
+        starts: Positions of the driven joint.
+        locked: Positions of each locked joint that matters.
+    """
     poses = locked_poses(robot, joint, locked)
     whole = []
     for q in start_positions(robot, joint, starts):
@@ -202,6 +228,11 @@ def currents_beyond(
     masses_kg: Sequence[float],
 ) -> Iterator[tuple[float, float, float]]:
     """Currents that move the joint of a standing run one way or the other, by a little and by more, with any mass in the hand.
+
+    Args:
+        run: Of a joint that stands still.
+        facts: About the object.
+        masses_kg: What the hand may hold [kg].
 
     Yields:
         One of ``PUSHES``, the current that it takes [A], and the largest gravity load [N m].

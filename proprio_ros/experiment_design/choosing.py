@@ -359,7 +359,13 @@ def time_of(
     sequence: ExcitationSequence,
     pose: Mapping[str, float],
 ) -> TimeOf:
-    """How long pushes take beside themselves, by their starts [s]: the way there from a pose, rest and brake."""
+    """How long pushes take beside themselves, by their starts [s]: the way there from a pose, rest and brake.
+
+    Args:
+        robot: Whose joints.
+        sequence: Its speed on the way, rest and brake count.
+        pose: Where the arm stands [rad or m].
+    """
     names = robot.model.independent_joints
     beside_s = sequence.settle_s + sequence.brake_s
     here = np.array([pose.get(name, 0.0) for name in names])
@@ -379,7 +385,13 @@ def passes(
     sequence: ExcitationSequence,
     pose: Mapping[str, float],
 ) -> bool:
-    """Whether the excitation's guards would let a sequence of one push through, and the way to it."""
+    """Whether the excitation's guards would let a sequence of one push through, and the way to it.
+
+    Args:
+        machine: The excitation's, with its guards.
+        sequence: Of one push.
+        pose: Where the arm stands [rad or m].
+    """
     driven = {name: pose[name] for name in machine.joints}
     try:
         check_sequence(sequence, machine.robot)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import NamedTuple
@@ -294,34 +294,43 @@ def advise(
     wanted = [key for key in wanted if key in calibration.keys]
     place = [calibration.keys.index(key) for key in wanted]
     old = calibration.covariance[np.ix_(place, place)]
-    simulate = partial(
-        _candidates,
-        robot,
-        np.zeros(1),
-        PayloadFacts(),
-        KnownLoad(),
-    )
+    simulate = partial(_candidates, robot, np.zeros(1), PayloadFacts(), KnownLoad())
     turning = [joint for joint in joints if robot.model.joint(joint).kind != "prismatic"]
     found: list[tuple[float, ExcitationPlan]] = []
     for candidates, r in _suitable(robot, turning, COARSE_STARTS, COARSE_POSES, simulate):
         keys, precision = candidates.known_after(0, r)
-        # of other joints' drive trains this run determines only what is correlated with its own
-        shared = [key for key in wanted if key in keys]
-        now = [keys.index(key) for key in shared]
-        then = [wanted.index(key) for key in shared]
-        after = scaled_inverse(precision)[np.ix_(now, now)]
-        before = old[np.ix_(then, then)]
-        _, volume_before = np.linalg.slogdet(before)
-        _, volume_after = np.linalg.slogdet(after)
-        gain = 0.5 * float(volume_before - volume_after)
-        ratio = np.sqrt(np.diag(after) / np.diag(before))
-        best = int(np.argmin(ratio))
+        taught = _taught(wanted, old, keys, precision)
         words = (
-            f"would shrink the uncertainty of {label_of(shared[best])} to {100 * ratio[best]:.0f} %"
+            f"would shrink the uncertainty of {label_of(taught.most)} to {100 * taught.left:.0f} %"
         )
-        found.append((gain, _as_plan(candidates, r, [], words)))
+        found.append((taught.gain, _as_plan(candidates, r, [], words)))
     found.sort(key=lambda entry: -entry[0])
     return _varied([entry for _, entry in found], count)
+
+
+class _Taught(NamedTuple):
+    """What a run would teach."""
+
+    gain: float  # of information about all that is wanted [nat]
+    most: Key  # of what it would teach most
+    left: float  # part of that one's standard deviation that would be left
+
+
+def _taught(
+    wanted: Sequence[Key], old: np.ndarray, keys: Sequence[Key], precision: np.ndarray
+) -> _Taught:
+    """From the covariance (W, W) of what is wanted to the precision (K, K) of what a run touches."""
+    # of other joints' drive trains this run determines only what is correlated with its own
+    shared = [key for key in wanted if key in keys]
+    now = [keys.index(key) for key in shared]
+    then = [wanted.index(key) for key in shared]
+    after = scaled_inverse(precision)[np.ix_(now, now)]
+    before = old[np.ix_(then, then)]
+    _, volume_before = np.linalg.slogdet(before)
+    _, volume_after = np.linalg.slogdet(after)
+    ratio = np.sqrt(np.diag(after) / np.diag(before))
+    best = int(np.argmin(ratio))
+    return _Taught(0.5 * float(volume_before - volume_after), shared[best], float(ratio[best]))
 
 
 def weighable(robot: Robot, joints: Sequence[str]) -> Weighable | None:
@@ -331,15 +340,8 @@ def weighable(robot: Robot, joints: Sequence[str]) -> Weighable | None:
     """
     facts = PayloadFacts()
     simulate = partial(_candidates, robot, np.array([TYPICAL_KG]), facts, None)
-    best: dict[str, dict[bool, _Weighing]] = {}  # by joint, and whether upwards
     driven = [joint for joint in candidate_joints(robot) if joint in joints]
-    for candidates, r in _suitable(robot, driven, COARSE_STARTS, COARSE_POSES, simulate):
-        std = _std_of_mass(*candidates.known_after(0, r))
-        run = candidates.problem.runs[r]
-        ways = best.setdefault(run.run.joint, {})
-        upwards = bool(candidates.travel[0, r] > 0.0)
-        if upwards not in ways or std < ways[upwards].std:
-            ways[upwards] = _Weighing(std, run, candidates.alive[0, r])
+    best = _best_both_ways(_suitable(robot, driven, COARSE_STARTS, COARSE_POSES, simulate))
     chosen = sorted(
         best,
         key=lambda joint: min(each.std for each in best[joint].values()),
@@ -348,12 +350,8 @@ def weighable(robot: Robot, joints: Sequence[str]) -> Weighable | None:
         return None
     weighings = [each for joint in chosen for each in best[joint].values()]
     prepared = [each.run for each in weighings]
-    problem = Problem(
-        robot,
-        prepared,
-        facts,
-        load_unknowns(robot, prepared, facts, Role.FREE, TYPICAL_KG),
-    )
+    unknowns = load_unknowns(robot, prepared, facts, Role.FREE, TYPICAL_KG)
+    problem = Problem(robot, prepared, facts, unknowns)
     _, _, dq = problem.simulate(problem.base[None], problem.free)
     alive = np.array([each.alive for each in weighings])
     known = _known_after(problem, dq[0], alive, range(len(weighings)))
@@ -362,6 +360,21 @@ def weighable(robot: Robot, joints: Sequence[str]) -> Weighable | None:
         _std_of_mass(*known),
         tuple(joint for joint in joints if joint in chosen),
     )
+
+
+def _best_both_ways(
+    suitable: Iterable[tuple[_Candidates, int]],
+) -> dict[str, dict[bool, _Weighing]]:
+    """The best run of each joint, by whether it goes upwards."""
+    best: dict[str, dict[bool, _Weighing]] = {}
+    for candidates, r in suitable:
+        std = _std_of_mass(*candidates.known_after(0, r))
+        run = candidates.problem.runs[r]
+        ways = best.setdefault(run.run.joint, {})
+        upwards = bool(candidates.travel[0, r] > 0.0)
+        if upwards not in ways or std < ways[upwards].std:
+            ways[upwards] = _Weighing(std, run, candidates.alive[0, r])
+    return best
 
 
 def _std_of_mass(keys: Sequence[Key], precision: np.ndarray) -> float:
@@ -419,6 +432,38 @@ def _candidates(
     prepared = _runs_from(robot, masses, facts, load, joint, pose)
     if not prepared:
         return None
+    problem, values = _guesses(robot, masses, facts, load, prepared)
+    with np.errstate(over="ignore", invalid="ignore"):
+        q, v, dq = problem.simulate(values, problem.free)
+    alive = np.isfinite(q) & np.isfinite(dq).all(axis=3)
+    alive &= np.abs(v) < robot.drive_trains[joint].usable_velocity
+    alive = np.cumprod(alive, axis=2).astype(bool)
+    start = pose[joint]
+    reached = np.clip(q, -10.0, 10.0)
+    reached = np.where(np.isfinite(q), reached, start)
+    low = reached.min(axis=2)
+    high = reached.max(axis=2)
+    clear = np.zeros(len(prepared))
+    for r in range(len(prepared)):
+        ends = (float(low[:, r].min()), float(high[:, r].max()), start)
+        clear[r] = _lowest_m(robot, pose, joint, ends)
+    limits = robot.model.joint(joint)
+    off = np.where(alive, q, start) - start
+    fits = (low > limits.lower + LIMIT_MARGIN) & (high < limits.upper - LIMIT_MARGIN)
+    fits &= np.abs(off).max(axis=2) >= LITTLE_TRAVEL
+    fits &= (alive.sum(axis=2) >= 2 * MIN_USED) & (clear >= CLEARANCE_M)
+    travel = np.where(start - low > high - start, low - start, high - start)
+    return _Candidates(problem, dq, alive, travel, clear, fits)
+
+
+def _guesses(
+    robot: Robot,
+    masses: np.ndarray,
+    facts: PayloadFacts,
+    load: KnownLoad | None,
+    prepared: Sequence[PreparedRun],
+) -> tuple[Problem, np.ndarray]:
+    """The runs as a problem, and its unknowns with each mass in the hand, shape (S, N); see ``_candidates``."""
     if load is None:
         unknowns = load_unknowns(robot, prepared, facts, Role.FREE, float(masses[0]))
     else:
@@ -427,41 +472,9 @@ def _candidates(
     values = np.tile(problem.base, (len(masses), 1))
     if load is None:
         values[:, problem.index["payload_mass"]] = masses
+    joint = prepared[0].run.joint
     values[:, problem.index["coulomb", joint]] = expected_coulomb(problem, joint)
-    with np.errstate(over="ignore", invalid="ignore"):
-        q, v, dq = problem.simulate(values, problem.free)
-    usable_velocity = robot.drive_trains[joint].usable_velocity
-    finite = np.isfinite(q) & np.isfinite(dq).all(axis=3)
-    usable = finite & (np.abs(v) < usable_velocity)
-    alive = np.cumprod(usable, axis=2).astype(bool)
-    start = pose[joint]
-    inside = np.clip(q, -10.0, 10.0)
-    reached = np.where(np.isfinite(q), inside, start)
-    low = reached.min(axis=2)
-    high = reached.max(axis=2)
-    clear = np.array(
-        [
-            _lowest_m(
-                robot,
-                pose,
-                joint,
-                (
-                    float(low[:, r].min()),
-                    float(high[:, r].max()),
-                    start,
-                ),
-            )
-            for r in range(len(prepared))
-        ]
-    )
-    limits = robot.model.joint(joint)
-    off = np.where(alive, q, start) - start
-    counted = np.abs(off).max(axis=2)
-    fits = (low > limits.lower + LIMIT_MARGIN) & (high < limits.upper - LIMIT_MARGIN)
-    fits &= (counted >= LITTLE_TRAVEL) & (alive.sum(axis=2) >= 2 * MIN_USED)
-    fits &= clear >= CLEARANCE_M
-    travel = np.where(start - low > high - start, low - start, high - start)
-    return _Candidates(problem, dq, alive, travel, clear, fits)
+    return problem, values
 
 
 def _runs_from(

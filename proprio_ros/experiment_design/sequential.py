@@ -241,31 +241,38 @@ class Catalogue:
         values = np.tile(problem.base, (2, 1))
         values[:, problem.index["payload_mass"]] = 0.0, 1.0
         values[:, problem.index["coulomb", joint]] = expected_coulomb(problem, joint)
-        keys = [key for key in self.keys if key in problem.index]
-        shared = [problem.index[key] for key in keys]
         found = []
         for row, (run, q) in enumerate(zip(runs, starts, strict=True)):
-            own = [problem.index[kind, row] for kind in OWN]
-            p, dp = problem.parameters(values, np.array(shared + own))
-            width = len(self.keys) + len(OWN)
-            slopes = np.zeros((2, p.shape[-1], width))
-            of_run = dp[:, row]
-            slopes[..., [self.at[key] for key in keys]] = of_run[..., : len(shared)]
-            slopes[..., len(self.keys) :] = of_run[..., len(shared) :]
+            p, slopes = self._at_two_masses(problem, values, row)
             heights = [clearance(self.robot, {**pose, joint: q + off}) for off in PATH_RAD]
+            own = [problem.unknowns[problem.index[kind, row]] for kind in OWN]
             found.append(
                 _Place(
                     run,
                     {**pose, joint: q},
-                    p[0, row],
-                    p[1, row] - p[0, row],
+                    p[0],
+                    p[1] - p[0],
                     slopes[0],
                     slopes[1] - slopes[0],
-                    np.array([problem.unknowns[column].std ** 2 for column in own]),
+                    np.array([unknown.std**2 for unknown in own]),
                     np.array(heights),
                 )
             )
         return found
+
+    def _at_two_masses(
+        self, problem: Problem, values: np.ndarray, row: int
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """A run's parameters (2, P) at two guesses (2, N), and their derivatives by shared unknowns and its own (2, P, F + 4)."""
+        keys = [key for key in self.keys if key in problem.index]
+        columns = [problem.index[key] for key in keys]
+        columns += [problem.index[kind, row] for kind in OWN]
+        p, dp = problem.parameters(values, np.array(columns))
+        of_run = dp[:, row]
+        slopes = np.zeros((2, p.shape[-1], len(self.keys) + len(OWN)))
+        slopes[..., [self.at[key] for key in keys]] = of_run[..., : len(keys)]
+        slopes[..., len(self.keys) :] = of_run[..., len(keys) :]
+        return p[:, row], slopes
 
     def nothing_known(self) -> Known:
         """Before the first run."""
@@ -530,12 +537,9 @@ class Catalogue:
                 np.tile(np.eye(len(INDEX)), (len(places), 1, 1)),
             )
         start = np.array([place.prepared.rest.value for place in places])
+        off = q - start[:, None]
         usable = np.array([place.prepared.drive.usable_velocity for place in places])
-        alive = (
-            np.isfinite(q)
-            & (np.abs(v) < usable[:, None])
-            & (np.abs(q - start[:, None]) < MAX_TRAVEL)
-        )
+        alive = np.isfinite(q) & (np.abs(v) < usable[:, None]) & (np.abs(off) < MAX_TRAVEL)
         alive = np.cumprod(alive, axis=1).astype(bool)
         slopes = by_p @ np.array([place.dp + mass * place.dp_per_kg for place in places])
         self._add_ripples(slopes, places, q)
@@ -546,22 +550,16 @@ class Catalogue:
         )
         slopes = np.where(alive[..., None], slopes / sigma[..., None], 0.0)
         size = len(self.keys)
-        shared = slopes[..., :size]
         if is_known:
-            shared[
-                ...,
-                [at for key, at in self.at.items() if key in PAYLOAD_TERMS],
-            ] = 0.0
+            known = [at for key, at in self.at.items() if key in PAYLOAD_TERMS]
+            slopes[..., known] = 0.0
         own_std = np.sqrt(np.array([place.own_variance for place in places]))
-        off = np.where(alive, q - start[:, None], 0.0)
-        up = off.max(axis=1)
-        down = off.min(axis=1)
         return _Rows(
-            shared,
+            slopes[..., :size],
             slopes[..., size:] * own_std[:, None, :],
             places[0].prepared.run.times_s,
             alive.sum(axis=1),
-            np.where(up > -down, up, down),
+            _farthest(np.where(alive, off, 0.0)),
         )
 
     def _add_ripples(
@@ -626,6 +624,13 @@ class Catalogue:
                     )
                 )
         return found
+
+
+def _farthest(off: np.ndarray) -> np.ndarray:
+    """The largest of offsets (C, T) either way, with its sign, shape (C,)."""
+    up = off.max(axis=1)
+    down = off.min(axis=1)
+    return np.where(up > -down, up, down)
 
 
 def _parameters_at(places: Sequence[_Place], mass: float) -> np.ndarray:

@@ -127,6 +127,13 @@ def chosen_known(
     What they would tell follows from where the arm is pushed, so that nothing of them need be recorded before the next
     is chosen. Asked is a half interval [kg] of weighings of `WEIGHED_KG` afterwards, of `LIGHT_KG` where the hand is
     empty (a reference of 0 kg), by `WEIGHED_PUSHES` pushes of their own; ways, rest and brake are the sequence's.
+
+    Args:
+        robot: Whose joints.
+        reference_kg: In the hand [kg].
+        half_interval: That is asked for [kg].
+        at_most_s: How long the pushes may take [s].
+        sequence: Its ways, rest and brake count.
     """
     weighed_kg = WEIGHED_KG if reference_kg > 0.0 else LIGHT_KG
     catalogue = sequential.Catalogue(robot)
@@ -149,7 +156,11 @@ def chosen_refresh(
 ) -> tuple[list[ExcitationRun], float, float]:
     """Pushes with an empty hand after which a weighing is nearly as sure as with the calibration when it was made.
 
-    ``aged`` has what is left of it (see `drift`); ways, rest and brake are the sequence's.
+    Args:
+        fresh: The robot as it was calibrated.
+        aged: With what is left of the calibration (see `drift`).
+        at_most_s: How long the pushes may take [s].
+        sequence: Its ways, rest and brake count.
 
     Returns:
         The pushes, none where a tenth at most is missing; half the 95 % interval of a predicted weighing of `WEIGHED_KG` when the

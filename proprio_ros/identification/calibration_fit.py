@@ -139,6 +139,11 @@ def foretold(
 
     Not as `Posterior.held_out`, for which the run is in the fit: one that came late has bent it by then.
 
+    Args:
+        robot: As its file states it.
+        fitted: The fit of the others.
+        run: That is predicted.
+
     Returns:
         The number of samples K, and their chi-square under the covariance of the prediction, near K where the run fits the others.
     """
@@ -372,6 +377,11 @@ def of_runs(
 ) -> tuple[list[int], np.ndarray, np.ndarray]:
     """An unknown of each run, of onsets where nothing else makes them uncertain.
 
+    Args:
+        kind: Of the unknown.
+        problem: That was fitted.
+        posterior: Of the fit.
+
     Returns: The runs; its values; how much of it each determines rather than its prior (0 to 1); shapes (R,).
     """
     stds = {}
@@ -390,7 +400,13 @@ def of_runs(
 
 
 def spread_of_runs(file_std: float, found: np.ndarray, learnt: np.ndarray) -> float:
-    """Standard deviation of what differs from run to run, the robot file's word counting as ``PSEUDO_RUNS``."""
+    """Standard deviation of what differs from run to run, the robot file's word counting as ``PSEUDO_RUNS``.
+
+    Args:
+        file_std: What the robot file says.
+        found: Values of the runs, shape (R,).
+        learnt: How much of it each determines rather than its prior (0 to 1), shape (R,).
+    """
     prior = PSEUDO_RUNS * file_std**2
     return float(
         np.sqrt((np.sum(found**2) + prior) / (max(float(learnt.sum()), 0.0) + PSEUDO_RUNS))

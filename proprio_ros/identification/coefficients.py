@@ -55,7 +55,13 @@ def reduced_model(
     run: Run,
     shift: Mapping[str, float],
 ) -> ReducedModel:
-    """The robot with every joint locked but the driven one; ``shift`` displaces locked joints [rad or m]."""
+    """The robot with every joint locked but the driven one.
+
+    Args:
+        robot: With all its joints.
+        run: Which joint was driven, and where the others stood.
+        shift: Displaces locked joints [rad or m].
+    """
     held = {}
     for name, position in run.held.items():
         held[name] = position + shift.get(name, 0.0)

@@ -175,7 +175,13 @@ class Conclusion:
         question: str,
         loaded: str = "",
     ) -> Iterator[Refusal]:
-        """Where ``thing`` is lighter than it was empty, to the end of its interval; ``loaded``: how it is now."""
+        """Where something is lighter than it was empty, to the end of its interval.
+
+        Args:
+            thing: What is lighter.
+            question: Put to the user.
+            loaded: How the thing is now, behind its name.
+        """
         mass = self.assessed.value
         if mass + Z95 * self.assessed.std < 0.0:
             said = (

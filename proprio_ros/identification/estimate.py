@@ -84,7 +84,12 @@ def not_negative(
     """The 95 % interval of a quantity that cannot be below nothing, never shorter above than the likelihood has it.
 
     An estimate below nothing says what one at nothing does, and no more: its posterior, cut off there, would be the
-    narrower the less likely it is. The quantile is half the width of a 95 % interval in standard deviations.
+    narrower the less likely it is.
+
+    Args:
+        value: That was found.
+        std: Its standard deviation.
+        quantile: Half the width of a 95 % interval in standard deviations.
     """
     half = quantile * std
     return max(value - half, 0.0), max(value, 0.0) + half
@@ -438,7 +443,17 @@ def no_answer(
     reasons: Sequence[str],
     notes: Sequence[str],
 ) -> Estimate:
-    """What is said where no run can be used: the value is not determined, and the reasons are the runs' own."""
+    """What is said where no run can be used: the value is not determined, and the reasons are the runs' own.
+
+    Args:
+        probe: Its name.
+        name: Of the value.
+        unit: Of the value.
+        robot: Its name.
+        runs: How many were given.
+        reasons: Why none can be used.
+        notes: What else was found.
+    """
     values = (
         Value(
             name,

@@ -171,7 +171,18 @@ def solve_load(
     start_velocity_std: float | None = None,
     rough: bool = False,
 ) -> FitResult:
-    """Fit the runs from every start, or from another fit's values; ``rough`` is enough to start another fit from."""
+    """Fit the runs from every start, or from another fit's values.
+
+    Args:
+        robot: As its file or calibration states it.
+        runs: Prepared.
+        facts: About the payload.
+        options: How to search.
+        role: Of what is open about the robot.
+        start: A fit whose values are the only start; None is every start of the options.
+        start_velocity_std: Of every run's start velocity [rad/s]; None is the usual one.
+        rough: Enough to start another fit from.
+    """
     unknowns = load_unknowns(
         robot,
         runs,
@@ -246,7 +257,13 @@ def uncalibrated(
     runs: Sequence[PreparedRun],
     budget: Sequence[tuple[str, float]],
 ) -> list[Reason]:
-    """A sentence where the interval carries the file's priors instead of a calibration; ``budget`` in kg."""
+    """A sentence where the interval carries the file's priors instead of a calibration.
+
+    Args:
+        robot: As its file or calibration states it.
+        runs: Whose joints count.
+        budget: Sources of uncertainty and their standard deviations [kg].
+    """
     if robot.is_calibrated():
         joints = [joint for joint in joints_of(runs) if not robot.is_calibrated([joint])]
         # a file that only says so leaves nothing to be said
@@ -276,10 +293,15 @@ def error_budget(
     covariance: np.ndarray,
     name: str = "payload_mass",
 ) -> list[tuple[str, float]]:
-    """Which source puts how much standard deviation on the mass called ``name`` [kg], largest first.
+    """Which source puts how much standard deviation on a mass [kg], largest first.
 
     With normal matrix ``J^T J + P`` and its inverse C, the variance of the mass is ``C J^T J C + C P C``: the first part is the
     samples', and the second falls into the priors. What a calibration left correlated is split by what it is of, see ``_split``.
+
+    Args:
+        fit: Where it ended.
+        covariance: Of all unknowns, shape (N, N).
+        name: Of the mass.
     """
     problem = fit.problem
     at = problem.index[name]
@@ -362,7 +384,12 @@ def rivals(
 ) -> list[float]:
     """Masses of other starts that explain the recording as well but lie elsewhere than the estimate [kg].
 
-    Masses that differ by less than a ``share`` of them are one.
+    Args:
+        fit: From all starts.
+        name: Of the mass.
+        value: The estimate [kg].
+        std: Its standard deviation [kg].
+        share: Masses that differ by less than this part of them are one.
     """
     ends = fit.physical(name)
     cost = fit.solution.cost
@@ -388,9 +415,15 @@ def summary(
 ) -> SolverSummary:
     """What every start did, of a search from all of them.
 
-    First guesses of the unknown ``name`` are taken in turn where there are more starts. Ends agree that are no farther from the
-    best than the tolerance, in its unit, and whose cost is above the best by less than the margin; iterations are those of all
-    searches together. ``final`` is the fit that gave the answer, where that is another one, started from the ends of this.
+    Args:
+        fit: From all starts.
+        name: Of the unknown.
+        starts: First guesses of it, taken in turn where there are more starts.
+        tolerance: Ends agree that are no farther from the best, in the unknown's unit.
+        iterations: Of all searches together.
+        options: How it was searched.
+        margin: And whose cost is above the best by less.
+        final: The fit that gave the answer, where that is another one, started from the ends of this.
     """
     refined = () if final is None or final is fit else _paths(final, name, tolerance, margin)
     paths = _paths(fit, name, tolerance, margin, starts)
@@ -478,7 +511,7 @@ class _Held:
         self.coordinates = problem.coordinates
         (
             self._problem,
-            self._column,
+            self.column,
             self._inflation,
             self._best,
         ) = problem, column, inflation, best
@@ -501,9 +534,10 @@ class _Held:
             matrix = (
                 matrix / self._inflation + share * precision * slope[:, :, None] * slope[:, None, :]
             )
-        gradient[:, self._column] = 0.0
-        matrix[:, self._column, :] = matrix[:, :, self._column] = 0.0
-        matrix[:, self._column, self._column] = 1.0
+        gradient[:, self.column] = 0.0
+        matrix[:, self.column, :] = 0.0
+        matrix[:, :, self.column] = 0.0
+        matrix[:, self.column, self.column] = 1.0
         return cost, gradient, matrix
 
 
@@ -535,23 +569,30 @@ def misfit_profile(
     own = float(posterior.covariance[column, column])
     if not np.isfinite([fit.chi2, best, value, std, own]).all() or own <= 0.0:
         return Scan(np.zeros(0), np.zeros(0), PROFILE, CHI2_95)
-    coordinates = problem.coordinates
     at = fit.values[problem.free]
-    at_best = coordinates.internal(at)
     held = _Held(problem, column, inflation, at)
-    step = (
-        _profile_ends(
-            problem.unknowns[problem.index[name]],
-            best,
-            value,
-            std,
-        )
-        - best
-    ) / (PROFILE_STEPS)
+    unknown = problem.unknowns[problem.index[name]]
+    step = (_profile_ends(unknown, best, value, std) - best) / PROFILE_STEPS
     ahead = np.outer(step, posterior.covariance[:, column] / own)
     ahead[:, column] = step
+    grid, costs = _both_ways(held, at, ahead)
+    values, first = np.unique(grid, return_index=True)
+    chi2 = 2.0 * np.array(costs)[first]
+    return Scan(values, chi2 - chi2.min(), PROFILE, CHI2_95)
+
+
+def _both_ways(held: _Held, at: np.ndarray, ahead: np.ndarray) -> tuple[list[float], list[float]]:
+    """Values of the unknown that is held, and the least cost at each, from the fit on.
+
+    Args:
+        held: The problem.
+        at: Free unknowns at the fit, shape (F,).
+        ahead: By how much they change with a step down and up, shape (2, F).
+    """
+    coordinates = held.coordinates
+    at_best = coordinates.internal(at)
     least = float(held.linearise(at_best[None])[0][0])
-    grid = [best]
+    grid = [float(at[held.column])]
     costs = [least]
     end = np.tile(at_best, (2, 1))
     follows = np.full(2, True)
@@ -566,11 +607,9 @@ def misfit_profile(
         )
         end = solution.internal
         follows &= 2.0 * (solution.cost - least) < PROFILE_HIGHEST
-        grid += coordinates.physical(end)[follows, column].tolist()
+        grid += coordinates.physical(end)[follows, held.column].tolist()
         costs += solution.cost[follows].tolist()
-    values, first = np.unique(grid, return_index=True)
-    chi2 = 2.0 * np.array(costs)[first]
-    return Scan(values, chi2 - chi2.min(), PROFILE, CHI2_95)
+    return grid, costs
 
 
 def _profile_ends(unknown: Unknown, best: float, value: float, std: float) -> np.ndarray:

@@ -74,10 +74,16 @@ def contradiction(
     same: float,
     question: str,
 ) -> Contradiction:
-    """What to make of the run called ``name`` that says ``one`` value where the others say another.
+    """What to make of a run that says one value where the others say another.
 
-    Values that differ by less than ``alike`` do not contradict each other; half of the difference then counts as uncertainty. What
-    is less than ``same`` is not worth a sentence. The ``question`` is put to the user where they contradict each other.
+    Args:
+        name: Of the run.
+        unit: Of the values.
+        one: What the run says.
+        others: What the others say.
+        alike: Values that differ by less do not contradict each other; half of the difference then counts as uncertainty.
+        same: What is less is not worth a sentence.
+        question: Put to the user where they contradict each other.
     """
     said = f"it says {shown(unit, one, spec='.1f')}, they say {shown(unit, others, spec='.1f')}"
     apart = abs(one - others)
@@ -120,7 +126,13 @@ def unusable(run: PreparedRun) -> str:
 
 
 def admitted(robot: Robot, run: PreparedRun, found: Findings) -> bool:
-    """Whether a run can be used; why not, and what is unusual about it, is added to ``found``."""
+    """Whether a run can be used; why not, and what is unusual about it, is added to ``found``.
+
+    Args:
+        robot: Whose joint was driven.
+        run: Prepared.
+        found: Takes what is wrong or unusual.
+    """
     if problem := unusable(run):
         found.reasons.append(of_run(run.run.name, problem))
     screen_run(robot, run, found)
@@ -128,7 +140,13 @@ def admitted(robot: Robot, run: PreparedRun, found: Findings) -> bool:
 
 
 def screen_run(robot: Robot, run: PreparedRun, found: Findings) -> None:
-    """Warn of what is unusual about a run by itself."""
+    """Warn of what is unusual about a run by itself.
+
+    Args:
+        robot: Whose joint was driven.
+        run: Prepared.
+        found: Takes the warnings.
+    """
     found.notes.extend(f"{run.run.name}: {note}" for note in run.run.notes)
     if run.used >= MIN_USED:
         found.reasons += [Reason(code, said, run.run.name) for code, said in _unusual(robot, run)]
@@ -319,7 +337,13 @@ def surprising(samples: int, chi2: float) -> float:
 
 
 def said_left_out(names: Sequence[str], count: int, question: str) -> str:
-    """Which of so many runs were left out, since they contradict the others."""
+    """Which of so many runs were left out, since they contradict the others.
+
+    Args:
+        names: Of those that were left out.
+        count: Of all runs.
+        question: Put to the user.
+    """
     contradict, were = ("contradicts", "was") if len(names) == 1 else ("contradict", "were")
     left_out = f"{', '.join(names)} {contradict} the other runs and {were} left out ({len(names)} of {count})"
     return f"{left_out}: {question}"

@@ -77,7 +77,14 @@ ACCEPTED = Refusal(Verdict.ACCEPTED, "", ())  # nothing speaks against the answe
 
 
 def rejected(code: str, withheld: str, sentence: str, *more: str) -> Refusal:
-    """The model does not explain the recording; ``code`` is that of ``sentence`` (see ``reasons.CODES``)."""
+    """The model does not explain the recording.
+
+    Args:
+        code: Of the sentence (see ``reasons.CODES``).
+        withheld: In a few words, where the value would stand.
+        sentence: Why.
+        more: Further sentences.
+    """
     return Refusal(
         Verdict.REJECTED,
         withheld,
@@ -86,7 +93,13 @@ def rejected(code: str, withheld: str, sentence: str, *more: str) -> Refusal:
 
 
 def not_identifiable(code: str, withheld: str, sentence: str) -> Refusal:
-    """The recording does not determine the value."""
+    """The recording does not determine the value.
+
+    Args:
+        code: Of the sentence (see ``reasons.CODES``).
+        withheld: In a few words, where the value would stand.
+        sentence: Why.
+    """
     return Refusal(
         Verdict.NOT_IDENTIFIABLE,
         withheld,
@@ -385,7 +398,13 @@ def judge(
 
 
 def too_wide(assessed: Assessment, useful: Useful, budget: Budget) -> Iterator[Refusal]:
-    """Where the interval of a fit is wider than is useful, whatever explains the recording."""
+    """Where the interval of a fit is wider than is useful, whatever explains the recording.
+
+    Args:
+        assessed: The fit.
+        useful: How wide the interval may be.
+        budget: What puts how much on the value, the largest first.
+    """
     unit = assessed.unit
     value = assessed.value
     std = assessed.std
@@ -434,8 +453,14 @@ def positive(
 ) -> Value:
     """A quantity that is not negative, with an interval that is not either: an empty hand reads 0.
 
-    Value, std and highest are in its unit; ``withheld`` says why no number is given, and the quantile is half the width
-    of a 95 % interval in standard deviations.
+    Args:
+        name: Of the quantity.
+        unit: Of value, std and highest.
+        value: That was found.
+        std: Its standard deviation.
+        withheld: Why no number is given; empty where one is.
+        highest: Where the interval ends at most.
+        quantile: Half the width of a 95 % interval in standard deviations.
     """
     if withheld:
         return Value(name, unit, None, reason=withheld)

@@ -134,8 +134,8 @@ def smooth(
     knots = _knots(times_s)
     shape, _, _ = _basis(times_s, knots)
     # a walk from a free start: covariance of its values at the knots, for scale 1
-    walked = np.minimum.outer(knots, knots) + knots[-1]
-    walk = np.linalg.cholesky(walked / (2.0 * knots[-1]))
+    walk = np.minimum.outer(knots, knots) + knots[-1]
+    walk = np.linalg.cholesky(walk / (2.0 * knots[-1]))
     # where the joint rests is not known beforehand
     off = position - np.mean(position)
     spread = shape @ walk
@@ -144,17 +144,9 @@ def smooth(
         full_matrices=False,
     )
     along = left.T @ off  # (K,)
-    across = max(float(off @ off - along @ along), 0.0)
     noise = _noises(position, sigma)[:, None] ** 2  # (N, 1)
     variance = noise[..., None] + (scales[:, None] * size) ** 2  # (N, S, K)
-    more = len(off) - 1 - len(size)
-    evidence = -0.5 * (
-        np.sum(along**2 / variance + np.log(variance), axis=2)
-        + across / noise
-        + more * np.log(noise)
-    )
-    squares = along @ along + across
-    still = -0.5 * (squares / noise + (len(size) + more) * np.log(noise))
+    evidence, still = _evidence(off, along, noise, variance)
     fine, best = np.unravel_index(int(np.argmax(evidence)), evidence.shape)
     steps = scales[best] ** 2 * size * along / variance[fine, best]
     acceleration = walk @ (right.T @ steps)
@@ -165,6 +157,30 @@ def smooth(
         acceleration,
         float(evidence[fine, best] - still.max()),
     )
+
+
+def _evidence(
+    off: np.ndarray, along: np.ndarray, noise: np.ndarray, variance: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Logarithm of how probable readings are, but for a constant.
+
+    Args:
+        off: Readings less their mean [rad], shape (T,).
+        along: The same in the directions that a motion has, shape (K,).
+        noise: Variances of a reading to be tried [rad^2], shape (N, 1).
+        variance: Of each direction with each noise and scale, shape (N, S, K).
+
+    Returns: with a motion of each scale, shape (N, S), and without any, shape (N, 1).
+    """
+    across = max(float(off @ off - along @ along), 0.0)
+    more = len(off) - 1 - len(along)
+    moving = -0.5 * (
+        np.sum(along**2 / variance + np.log(variance), axis=2)
+        + across / noise
+        + more * np.log(noise)
+    )
+    squares = along @ along + across
+    return moving, -0.5 * (squares / noise + (len(along) + more) * np.log(noise))
 
 
 def _noises(position: np.ndarray, sigma: float) -> np.ndarray:
@@ -206,6 +222,11 @@ def rests_from(
     """Row of what was recorded before the onset from which on a joint had come to rest; the first where it had not.
 
     A recording holds up to a second of it, and an excitation may settle for less after its way there, or a held joint slip.
+
+    Args:
+        before_times_s: Before the onset, shape (T,).
+        before: Readings then [rad], shape (T,).
+        drive: With the encoder of the joint.
     """
     last = before[before_times_s >= -REST_S]
     if len(last) == 0:
@@ -224,7 +245,13 @@ def rests_from(
 def locked_motions(
     robot: Robot, run: Run, joints: tuple[str, ...]
 ) -> tuple[dict[str, float], dict[str, Motion]]:
-    """Where locked joints stood, of those that moved, and the motions of those that moved during the run beyond their noise."""
+    """Where locked joints stood, of those that moved, and the motions of those that moved during the run beyond their noise.
+
+    Args:
+        robot: Whose joints.
+        run: With the readings of the locked joints.
+        joints: Those that matter.
+    """
     stood = {}
     found = {}
     times_s = np.concatenate([run.before_times_s, run.times_s])
@@ -265,8 +292,15 @@ def loads_of_yielding(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Load that yielding joints, whose motions are given, put on the driven one, beside what it carries when they stand still.
 
-    The driven joint's own motion, which enters weakly, is its smoothed reading with ``noise`` as standard deviation [rad], if
-    ``own`` does not state it, at even instants.
+    The driven joint's own motion enters weakly.
+
+    Args:
+        robot: With the arm's masses.
+        run: Whose joint was driven.
+        motions: Of the joints that yield, by name.
+        facts: About the payload.
+        noise: Standard deviation of the driven joint's readings [rad], which are smoothed for its own motion.
+        own: That motion at even instants, where it is known.
 
     Returns:
         Instants from which each value holds [s], shape (S,), the first 0; with an empty hand [N m] and per kilogram of payload
@@ -314,7 +348,13 @@ def loads_of_yielding(
 
 
 def arm_and_payload(robot: Robot, model: ReducedModel, facts: PayloadFacts) -> np.ndarray:
-    """Pseudo-inertias of the arm's moving bodies, and of each kilogram of payload, shape (2, n, 4, 4)."""
+    """Pseudo-inertias of the arm's moving bodies, and of each kilogram of payload, shape (2, n, 4, 4).
+
+    Args:
+        robot: Whose hand holds the payload.
+        model: The moving bodies.
+        facts: About the payload.
+    """
     body, body_from_payload = model.frames[robot.payload_frame]
     payload = np.zeros_like(model.pseudo_inertia)
     if body >= 0:

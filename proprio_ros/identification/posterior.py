@@ -132,7 +132,13 @@ def run_fits(
     values: np.ndarray,
     runs: Sequence[PreparedRun],
 ) -> tuple[tuple[RunFit, ...], float, float]:
-    """Every run as recorded and as simulated at ``values`` (shape (N,)), the rms of the residuals, and the expected one."""
+    """Every run as recorded and as simulated, the rms of the residuals, and the expected one.
+
+    Args:
+        problem: That was fitted.
+        values: Of all its unknowns, shape (N,).
+        runs: Its runs.
+    """
     q, _, _ = problem.simulate(
         values[None],
         problem.free[:3],

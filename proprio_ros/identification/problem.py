@@ -92,7 +92,13 @@ class _NormalEquations:
         residual: np.ndarray,
         slopes: np.ndarray,
     ) -> None:
-        """Residuals (S, T) that depend on the unknowns of some columns (C,), with slopes (S, T, C)."""
+        """Residuals that depend on some of the unknowns.
+
+        Args:
+            columns: The unknowns that they depend on, shape (C,).
+            residual: Whitened, shape (S, T).
+            slopes: Their derivatives, shape (S, T, C).
+        """
         across = slopes.transpose(0, 2, 1)
         self.cost += 0.5 * np.einsum("st,st->s", residual, residual)
         self.gradient[:, columns] += (across @ residual[..., None])[..., 0]
@@ -246,7 +252,8 @@ class Problem:
         """Columns of the unknowns of the encoder's once-per-turn error, -1 where there are none."""
         if run.run.free:
             return -1, -1
-        of_cos, of_sin = (self.index.get((kind, run.run.joint), -1) for kind in RIPPLE_TERMS)
+        of_cos = self.index.get(("ripple_cos", run.run.joint), -1)
+        of_sin = self.index.get(("ripple_sin", run.run.joint), -1)
         return of_cos, of_sin
 
     @functools.cached_property
@@ -517,7 +524,15 @@ class Problem:
         dq: np.ndarray,
         columns: np.ndarray,
     ) -> tuple[np.ndarray, np.ndarray]:
-        """What the encoder of one run shows of positions (S, T), and its derivative (S, T, F); may change its arguments."""
+        """What the encoder of one run shows, and its derivatives.
+
+        Args:
+            row: Of the run.
+            values: All unknowns of each guess, shape (S, N).
+            q: Simulated positions [rad], shape (S, T); may be changed.
+            dq: Their derivatives, shape (S, T, F); may be changed.
+            columns: The unknowns of the derivatives, shape (F,).
+        """
         cos_row, sin_row = self._ripple[row]
         if cos_row < 0:
             return q, dq
@@ -678,7 +693,8 @@ class Problem:
             count = int(counts[row])
             shown = q[:, row, :count]
             slopes = dq[:, row, :count]
-            slopes = slopes[:, :, columns] if direct else slopes @ dp[:, row][:, :, columns]
+            by_unknown = dp[:, row]
+            slopes = slopes[:, :, columns] if direct else slopes @ by_unknown[:, :, columns]
             if self.ripples:
                 shown, slopes = self.observe(
                     row,
@@ -714,7 +730,8 @@ class Problem:
             q, v, dq, direct = self._rollout(p, dp)
             q = q.copy()
             v = v.copy()
-            dq = dq.copy() if direct else dq @ dp.reshape(*q.shape[:2], *dp.shape[1:])
+            by_unknown = dp.reshape(*q.shape[:2], *dp.shape[1:])
+            dq = dq.copy() if direct else dq @ by_unknown
         if self.ripples:
             for row in range(len(self.runs)):
                 q[:, row], dq[:, row] = self.observe(

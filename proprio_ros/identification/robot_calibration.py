@@ -282,7 +282,14 @@ def usable_runs(
 def nothing_usable(
     robot: Robot, which: str, given: int, found: gates.Findings
 ) -> CalibrationEstimate:
-    """The answer where no run can be used; ``which`` joint must move, in words."""
+    """The answer where no run can be used.
+
+    Args:
+        robot: That was to be calibrated.
+        which: Joint must move, in words.
+        given: How many runs were given.
+        found: With the notes on them.
+    """
     reason = f"no run can be used: {which} joint must move by at least 0.1 rad inside its limits"
     return CalibrationEstimate(
         robot.name,
@@ -382,7 +389,13 @@ def empty_hand(
 
     A score test (Rao 1948): the fit's gradient by a mass that it does not have, over the information that no other unknown takes.
     A joint that sticks has a gradient of its own at every step; so the mass counts for as many standard deviations as the runs are
-    explained better with it, and no more. With ``references`` the same of them: by how much they are heavier than stated.
+    explained better with it, and no more.
+
+    Args:
+        problem: That was fitted.
+        at: Where the fit ended, shape (N,).
+        posterior: Of the fit.
+        references: The same of the runs with a reference: by how much they are heavier than stated.
     """
 
     def hiding(run: PreparedRun, more_kg: float) -> PreparedRun:
@@ -563,7 +576,13 @@ def _outlier(robot: Robot, fitted: Fitted) -> int | None:
 def shared_rows(
     problem: Problem, values: np.ndarray, covariance: np.ndarray
 ) -> tuple[UnknownRow, ...]:
-    """Every shared unknown, prior against posterior; ``values`` (N,) of all unknowns, ``covariance`` (F, F) of the free ones."""
+    """Every shared unknown, prior against posterior.
+
+    Args:
+        problem: That was fitted.
+        values: Of all unknowns, shape (N,).
+        covariance: Of the free ones, shape (F, F).
+    """
     stds = np.sqrt(np.diag(covariance))
     return tuple(
         UnknownRow(
@@ -692,7 +711,7 @@ def _with_own_friction(
 ) -> Calibration:
     """What each swing shows of friction by itself beside it: by that another joint is told from this one."""
     facts = [run.load.facts if run.load is not None else PayloadFacts() for run in runs]
-    swung = [(run.run, its) for run, its in zip(runs, facts, strict=True)]
+    swung = list(zip([run.run for run in runs], facts, strict=True))
     own_terms = friction_of_swings(robot.with_calibration(calibration), swung)
     return replace(calibration, own_terms=own_terms)
 

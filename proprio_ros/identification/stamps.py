@@ -106,7 +106,12 @@ def moves_before(run: PreparedRun, least_s: float, jitter_s: float) -> float | N
     """The latest onset that explains how a push begins, where that is earlier than it may be; else None.
 
     The joint rests, and from its onset on goes as ``a u^2 + b u^3``. Friction that falls with speed lets an onset seem later than
-    it was, never earlier. ``least_s`` is the earliest that the stamps allow, counted from the onset of the input.
+    it was, never earlier.
+
+    Args:
+        run: That was pushed.
+        least_s: The earliest onset that the stamps allow, counted from the onset of the input [s].
+        jitter_s: How far stamps scatter [s].
     """
     since = run.run.before_times_s >= least_s - RESTED_S
     since[
@@ -145,7 +150,8 @@ def moves_before(run: PreparedRun, least_s: float, jitter_s: float) -> float | N
     seen = (position - position[0]) * weight
     along = seen @ basis
     # what first moves the other way is a joint that creeps at rest
-    along[along[:, 2] / upper[:, 2, 2] * seen[-1] < 0.0, 2] = 0.0
+    falls = along[:, 2] / upper[:, 2, 2] * seen[-1] < 0.0
+    along[falls, 2] = 0.0
     chi2 = seen @ seen - np.sum(along**2, axis=1)
     best = float(chi2.min())
     good = onsets[chi2 <= best + SURE * max(best / (count - 5), 1.0)]

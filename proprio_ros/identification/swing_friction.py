@@ -45,7 +45,13 @@ def swing_starts(
     run: PreparedRun,
     facts: PayloadFacts,
 ) -> tuple[float, ...]:
-    """First guesses about the mass that doubles the inertia [kg]: far from it a swing hardly depends on the mass."""
+    """First guesses about the mass that doubles the inertia [kg]: far from it a swing hardly depends on the mass.
+
+    Args:
+        robot: Whose joint swings.
+        run: Prepared.
+        facts: About the load.
+    """
     own = float(run.coefficients.arm[0]) + robot.drive_trains[run.run.joint].armature.value
     doubling = own / max(float(run.coefficients.per_kg(facts)[0]), 1e-9)
     return tuple(doubling * share for share in SWING_STARTS)

@@ -35,7 +35,8 @@ class Unknown(Tag):
     def __post_init__(self) -> None:
         if self.kind not in KINDS:
             raise ConfigurationError(f"{self.name}: no such kind of unknown; add it to KINDS")
-        if not np.isfinite(self.value) or np.isnan(self.std) or self.std < 0.0:
+        sound = np.isfinite(self.value) and self.std >= 0.0
+        if not sound:
             given = f"value {self.value} and std {self.std}"
             raise ConfigurationError(f"{self.name}: {given} must be finite and std not negative")
         if not self.lower <= self.value <= self.upper:

@@ -178,7 +178,14 @@ class JointSimulator:
         dp: np.ndarray,
         counts: np.ndarray | None,
     ) -> tuple[np.ndarray, ...]:
-        """All results of one launch, padded to one of ``tangent_sizes`` directions; arguments as in ``jacobian``."""
+        """All results of one launch, padded to one of ``tangent_sizes`` directions.
+
+        Args:
+            world_run: Run of each world, shape (W,).
+            p: Parameters, shape (W, P).
+            dp: Tangent directions, shape (W, P, D).
+            counts: Samples of each run that are computed, shape (R,); None is all.
+        """
         worlds, _, directions = dp.shape
         size = next(
             (s for s in self.tangent_sizes if s >= directions),

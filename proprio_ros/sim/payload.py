@@ -166,7 +166,10 @@ def payload_parameters(
 ) -> np.ndarray:
     """The ten inertial parameters (m, m c, second moments) of payloads, linear in the mass [kg], shape (...,).
 
-    Centres of mass are (..., 3) [m], second moments (3, 3) [m^2] about them.
+    Args:
+        mass: Of each [kg], shape (...,).
+        com: Centres of mass [m], shape (..., 3).
+        second_moment_per_mass: About them, shape (3, 3) [m^2].
 
     Returns:
         shape (..., 10): m, hx, hy, hz, Sxx, Syy, Szz, Sxy, Sxz, Syz, the entries of the pseudo-inertia about the payload frame.

@@ -114,7 +114,15 @@ def paper_contact(
     k_f: float = 1.0,
     friction: float = 0.3,
 ) -> "Contact":
-    """The paper's constants [N/m, N s/m, N s/m, 1] for a sphere of ``mass`` [kg]."""
+    """The paper's constants for a sphere.
+
+    Args:
+        mass: Of the sphere [kg].
+        k_e: Stiffness [N/m].
+        k_d: Damping [N s/m].
+        k_f: Traction [N s/m].
+        friction: Coefficient.
+    """
     return Contact(k_e / mass, k_d / mass, k_f / mass, friction)
 
 
@@ -210,6 +218,11 @@ class SphereSimulator(JointSimulator):
     ) -> tuple[np.ndarray, np.ndarray]:
         """Where the sphere's centre is in the container at the sample instants, as for ``jacobian``.
 
+        Args:
+            world_run: Run of each world, shape (W,).
+            p: Parameters, shape (W, P).
+            dp: Tangent directions, shape (W, P, D).
+
         Returns: x (W, T, 3) [m], dx (W, T, 3, D), copies.
         """
         self.launch(
@@ -273,7 +286,14 @@ def compile_kernels(
     *,
     rises: bool = True,
 ) -> None:
-    """As ``joint.compile_kernels``, for fits with a sphere in a container of one shape and a law of contact."""
+    """As ``joint.compile_kernels``, for fits with a sphere in a container of one shape and a law of contact.
+
+    Args:
+        shape: Of the container.
+        law: Of contact.
+        integrator: One of ``INTEGRATORS``.
+        rises: Whether friction may rise towards standstill.
+    """
     # of the two launches with all directions either may have that of the rise
     kinds = dict.fromkeys([*kinds_of_kernel(_SIZES, rises), (_SIZES[-2], True)])
     kernels = [rollout(sphere_law(*kind, shape, law), integrator) for kind in kinds]

@@ -122,9 +122,14 @@ class SqueezeSimulator(JointSimulator):
         p: np.ndarray,
         q: np.ndarray,
     ) -> np.ndarray:
-        """Squeeze relative to the block's length at joint positions q (W, T): (W, T), below 0 where the block is not touched.
+        """Squeeze relative to the block's length, shape (W, T); below 0 where the block is not touched.
 
         Where it is beyond the table's reach, the law is a guess.
+
+        Args:
+            world_run: Run of each world, shape (W,).
+            p: Parameters, shape (W, P).
+            q: Joint positions [rad], shape (W, T).
         """
         length, _, travel, _, second, third = self._block.numpy()[np.asarray(world_run)].T[
             :, :, None
