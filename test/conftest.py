@@ -25,6 +25,22 @@ from support.browser import look  # noqa: F401
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 LONG = pytest.StashKey[int]()
+BORROWS = {
+    "paper": (
+        "experiment_design/test_until.py",
+        "probes/test_container_until.py",
+        "report/test_browser.py",
+        "sim/test_squeeze.py",
+    ),
+    "contents": ("benchmarks/test_filled_arm.py",),
+}
+"""Tests of the core that borrow an arm, a law or a page of an add-on, which may have been deleted."""
+collect_ignore = [
+    file
+    for addon, files in BORROWS.items()
+    if not (REPOSITORY / "proprio_ros" / "addons" / addon).exists()
+    for file in files
+]
 
 
 @pytest.fixture(autouse=True)

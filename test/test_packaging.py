@@ -93,6 +93,11 @@ def test_dependencies_are_declared_once(arguments: dict[str, Any]) -> None:
     assert all("ros-jazzy" in requirement for requirement in arguments["extras_require"]["ros"])
 
 
+def test_what_only_some_need_is_an_extra(arguments: dict[str, Any]) -> None:
+    needed = {Requirement(line).name for line in arguments["install_requires"]}
+    assert not needed & {"cma", "matplotlib", "meshio", "mujoco", "newton", "pyarrow", "ray"}
+
+
 def pins(name: str) -> dict[str, Version]:
     """Versions of a file of `.ci`, where every line is a name and a version: no address, no path, no option."""
     lines = [

@@ -30,7 +30,6 @@ from support.small_bags import (
     write_bag,
 )
 
-from proprio_ros.addons.fleet.episodes import episodes_of
 from proprio_ros.errors import RecordingError
 from proprio_ros.recordings.storage import zstd
 
@@ -278,7 +277,6 @@ def test_compressed_files_without_metadata_are_read(
     (folder / "metadata.yaml").unlink()
     for path in (folder, packed):
         assert np.array_equal(read(path).joints.position, whole.joints.position)
-    assert [each.path for each in episodes_of([tmp_path])] == [str(packed)]
 
 
 def test_a_compressed_file_that_is_cut_is_read_as_far_as_it_goes(tmp_path: Path) -> None:

@@ -7,7 +7,6 @@ rotors and torque constants are drawn at random, as in ``identification/arm_in_m
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,9 +14,6 @@ from typing import Any
 
 import numpy as np
 
-import proprio_ros.addons.fleet.local as local
-from proprio_ros.addons.fleet.episodes import Episode
-from proprio_ros.addons.fleet.rows import Job
 from proprio_ros.recordings.motions import Motion
 from proprio_ros.records import JointRecord, Recording
 from support.arm_in_motion import FOUR, Build, Twin, nominal, urdf, write_robot
@@ -177,14 +173,4 @@ def write_bag(
     return folder
 
 
-_compute = local.compute
-
-
-def deadly(episodes: Sequence[Episode], job: Job, folder: str) -> int:
-    """`local.compute`, but one episode ends its process as a fault in native code would; processes import it from here."""
-    if any(episode.path.endswith(os.environ["PROPRIO_TEST_DEADLY"]) for episode in episodes):
-        os._exit(11)
-    return _compute(episodes, job, folder)
-
-
-__all__ = ["FOUR", "SETTINGS", "Arm", "deadly", "nominal", "write_bag", "write_robot"]
+__all__ = ["FOUR", "SETTINGS", "Arm", "nominal", "write_bag", "write_robot"]

@@ -23,7 +23,8 @@ import pytest
 pytest.importorskip("pyarrow", reason="needs the extra batch")
 pytest.importorskip("mujoco", reason="needs the extra sim")
 
-from support.fleet import BEGIN_NS, FOUR, SETTINGS, Arm, deadly, write_bag, write_robot
+from support.deadly import deadly
+from support.fleet import BEGIN_NS, FOUR, SETTINGS, Arm, write_bag, write_robot
 from support.lerobot_layout import write_data_set
 from support.recording_bag import write_recording
 
@@ -132,6 +133,14 @@ def test_an_episode_of_a_data_set_is_the_recording_of_a_bag(fleet: Path, version
             isinstance(value.value, float)
             and value.ci95[0] - 0.001 <= mass <= value.ci95[1] + 0.001
         )
+
+
+@pytest.mark.parametrize("name", ["bag_0.mcap.zstd", "bag_0.db3.zstd"])
+def test_a_compressed_file_is_an_episode(tmp_path: Path, name: str) -> None:
+    packed = tmp_path / "bag" / name
+    packed.parent.mkdir()
+    packed.write_bytes(b"")
+    assert [each.path for each in episodes_of([tmp_path])] == [str(packed)]
 
 
 def test_what_lerobot_writes_is_read(fleet: Path) -> None:
