@@ -11,6 +11,7 @@ its covariance, and the mass is the one unknown (generalised least squares). Sev
 from below, make the errors of friction differ, and their mean small.
 
 Where the arm moved for a moment, its sliding friction is known, and the running estimate (`online`) says more than how it stands.
+Constants below that name no source were chosen by hand; `test/benchmarks/at_rest.py` measures how intervals hold with them.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ from proprio_ros.identification.gates import chi2_limit
 from proprio_ros.identification.regression.arm_terms import ArmTerms
 from proprio_ros.identification.regression.error_budget import CALIBRATION, CONSTANTS
 from proprio_ros.identification.regression.motion_equations import Arm, Problem, equations
-from proprio_ros.identification.regression.motion_fit import check_arm
+from proprio_ros.identification.regression.motion_fit import LEAST_PLACE_STD_M, check_arm
 from proprio_ros.identification.regression.motion_prior import LOAD_FRICTION_SPREAD, payload_stds
 from proprio_ros.identification.regression.online import (
     TOLD_S,
@@ -61,7 +62,6 @@ PLACE = "where the load lies"
 MOVING = "a few seconds of motion"
 ROUNDS = 20
 SETTLED_KG = 1e-6  # What the mass changes by in a round that is the last.
-LEAST_PLACE_STD_M = 1e-3  # Nobody knows a load's place better.
 STANCE_S = 0.2  # So often it is asked what an arm holds that stands.
 # And so far from what it held on its way something was put in or taken out.
 CHANGED_SIGMAS = 2.0

@@ -2,6 +2,8 @@
 
 Each mistake is undone in turn (a sign, a factor, an axis turned round, gravity from elsewhere), and what the URDF's bodies, a
 payload and dry friction leave unexplained is compared. A mistake is named where undoing it explains what nothing else does.
+
+Constants below that name no source were chosen by hand; `test/benchmarks/mistakes.py` measures what is named with them.
 """
 
 from __future__ import annotations
@@ -28,10 +30,10 @@ from proprio_ros.robot.regressor import PARAMETERS, point_mass
 
 EXPLAINED = 0.25
 """A mistake is named where undoing it leaves less than this of the torque, squared and relative to what the URDF says."""
-BETTER, CLEARER = 3.0, 1.15
-"""And so many times less than as it is, and this much less than what any other mistake leaves."""
-UNEXPLAINED, CERTAIN = 0.15, 8.0
-"""What an arm that differs from its URDF leaves is less; a mistake that leaves so many times less is named whatever that is."""
+BETTER = 3.0  # And so many times less than as it is,
+CLEARER = 1.15  # and this much less than what any other mistake leaves.
+UNEXPLAINED = 0.15  # What an arm that differs from its URDF leaves is less;
+CERTAIN = 8.0  # a mistake that leaves so many times less is named whatever that is.
 SUSPECT = 0.25
 """Share of a joint's torque: on real and simulated arms that nothing is wrong with up to 0.16 are left over."""
 # So many samples are enough to tell mistakes apart: some twenty fits are made.

@@ -8,6 +8,8 @@ One recording of a few seconds knows its own error badly: friction differs from 
 windows and on whether the torque or the acceleration is taken as what has the error (a torque that a controller made from noisy
 positions has its share). So the answer is the mean over such choices, and its variance that among them and that of a jackknife over
 stretches of 1 s.
+
+Constants below that name no source were chosen by hand; `test/benchmarks/real.py` measures how intervals hold with them.
 """
 
 from __future__ import annotations

@@ -12,6 +12,8 @@ friction a recording has, it shows itself, as far as recordings of arms differ. 
 of the torque, and what gears lose of a load, which would take the load's place. A few recordings say little about their spread, so
 all of its posterior counts, under a half Cauchy prior (Gelman 2006, Bayesian Analysis 1); and whether it grows with the mass is not
 known, so the wider counts.
+
+Constants below that name no source were chosen by hand; `test/benchmarks/real.py` measures how intervals hold with them.
 """
 
 from __future__ import annotations

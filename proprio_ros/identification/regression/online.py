@@ -14,6 +14,8 @@ showed before counts for the arm and not for the load. How early that can be tol
 
 A window in which a joint stands still says nothing of it, since there dry friction carries what it likes. So an arm at rest keeps
 its last answer. Joint states that say the same again while the arm moves are no news.
+
+Constants below that name no source were chosen by hand; `test/benchmarks/running.py` measures what becomes of answers with them.
 """
 
 from __future__ import annotations

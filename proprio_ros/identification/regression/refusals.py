@@ -29,7 +29,9 @@ APART_SIGMAS = 4.0  # What differs by more standard deviations is not the same.
 LEAST_SIGMAS = 5.0  # A mass that is not known so many times better than it is large is no divisor.
 DECIDES = 0.05
 """A joint that tells less than this share of what is known of a mass does not decide whether that is believed."""
-RATIO_SHARE, RATIO_STD, ZERO_RAD = 0.08, 0.01, 0.12
+RATIO_SHARE = 0.08
+RATIO_STD = 0.01
+ZERO_RAD = 0.12
 """A joint whose torque is by more than this share another one than the empty arm's was recorded in another unit, and one whose
 positions are so far off was put together anew, where a recording knows that: those of one machine differ by 3 % and 5 mrad. Where
 both are off alike, as from their URDF, a load shows it, too, and an interval holds that is off by less."""
@@ -261,7 +263,11 @@ def interval_too_wide(
     """
     if useful.exceeded_by(mass_kg, half_kg):
         most, _ = max(parts, key=lambda part: part[1])
-        half = shown("kg", min(half_kg, 1e6), spec=".0f")
+        half = shown(
+            "kg",
+            min(half_kg, 1e6),
+            spec=".0f",
+        )
         sentence = (
             f"{name}this motion determines the mass only to +-{half}; what it errs by most: "
             f"{most}{advice}"

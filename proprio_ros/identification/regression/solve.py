@@ -32,11 +32,9 @@ from proprio_ros.robot.regressor import PARAMETERS
 # Of weights and load friction; the mass of a UR10e changes by less than 1 g in the last.
 ITERATIONS = 6
 WAVES = 4  # Sine and cosine of a joint's angle, and of twice the angle.
-PLACE_SHARE = (
-    0.15  # Standard deviation of each of them in Coulomb friction, relative to it: a guess.
-)
-
-# Of a joint's independent windows at least so many count as not used up by unknowns: a guess, no recording comes near.
+# Standard deviation of each of them, in parts of Coulomb friction: a guess.
+PLACE_SHARE = 0.15
+# Of a joint's independent windows at least so many count as not used up by unknowns: a guess.
 FEWEST_FREE = 0.2
 FIXED = 1e-6  # Of its spread is what a term that is not followed may move by.
 # Inertia that ends so many standard deviations of its prior from nothing is as open as that.

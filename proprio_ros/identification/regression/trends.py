@@ -26,7 +26,8 @@ from proprio_ros.recordings.motions import Motion
 from proprio_ros.records import BoolArray, FloatArray
 from proprio_ros.robot import Robot
 
-SIGMAS, BESIDE_SIGMAS = 4.0, 2.0
+SIGMAS = 4.0
+BESIDE_SIGMAS = 2.0
 """A change is clear that is so many times as large as stretches of the recording scatter about it; where one joint's friction
 clearly changed, that of another one did by the second. UR10e recordings that were made warm show 2.2 at most."""
 LEAST_TORQUE = 0.01
@@ -35,7 +36,8 @@ LARGEST_TORQUE = 0.12
 """No motor that goes on moving loses more of its torque: what looks so is something else."""
 ROUNDS = 3
 """A fit takes up a part of what changes; after so many rounds of both little of that is left."""
-STEP_SIGMAS, STEP_EXPLAINS = 3.0, 0.4
+STEP_SIGMAS = 3.0
+STEP_EXPLAINS = 0.4
 """A payload that changes at once is clear where it does so by so many times its scatter, and explains this share of the rest."""
 STEP_EVERY_S = 0.5
 FIRST_MOMENTS = 4

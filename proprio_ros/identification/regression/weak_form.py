@@ -155,10 +155,15 @@ def torque_regressor(
 def evenly(
     motion: Motion, joints: Sequence[str], bandwidth_Hz: float, currents_too: bool = False
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Equally spaced times [s], smoothed positions [rad or m] and currents [A] of some joints, shapes (T,), (T, n), (T, n).
+    """Equally spaced times, and smoothed positions and currents of some joints.
 
-    ``motion``: at whatever instants; ``joints``: of it, n; ``bandwidth_Hz``: to which positions are smoothed;
-    ``currents_too``: whether currents are, too.
+    Args:
+        motion: At whatever instants.
+        joints: Of it, n.
+        bandwidth_Hz: To which positions are smoothed.
+        currents_too: Whether currents are, too.
+
+    Returns: Times [s], positions [rad or m] and currents [A], shapes (T,), (T, n) and (T, n).
 
     Raises `RecordingError`: There are too few samples.
     """

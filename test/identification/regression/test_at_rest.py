@@ -38,8 +38,13 @@ def test_gravity_is_that_of_mujoco(robot: Robot, pose: list[float]) -> None:
     arm = Arm.of(robot, JOINTS, {"gripper": 0.0})
     order = [JOINTS.index(name) for name in arm.model.joint_names]
     by_body = gravity_torques(arm.model, np.array([pose])[:, order])[0]
-    found = np.einsum("jbp,bp->j", by_body, np.array(arm.bodies))
-    wanted = data.qfrc_bias[[int(model.joint(name).dofadr[0]) for name in arm.model.joint_names]]
+    found = np.einsum(
+        "jbp,bp->j",
+        by_body,
+        np.array(arm.bodies),
+    )
+    places = [int(model.joint(name).dofadr[0]) for name in arm.model.joint_names]
+    wanted = data.qfrc_bias[places]
     assert found == pytest.approx(wanted, abs=1e-6)
 
 
@@ -57,7 +62,8 @@ def recorded(
             start + (np.array(goal) - start) * k / rate_hz for k in range(1, round(rate_hz) + 1)
         ]
         rows += [np.array(goal, float)] * round(2.0 * rate_hz)
-    position = np.array(rows) + 1e-4 * random.standard_normal((len(rows), len(JOINTS)))
+    noise = random.standard_normal((len(rows), len(JOINTS)))
+    position = np.array(rows) + 1e-4 * noise
     times_s = np.arange(len(rows)) / rate_hz
     return Motion(
         "made", JOINTS, times_s, position, 0.1 * position, {"gripper": 0.0}, "measured current"
@@ -95,13 +101,15 @@ def test_where_it_stood_and_how_it_came_there(robot: Robot) -> None:
         [at + 0.02 for at in goals[2]],
         goals[2],
     ]
-    assert Stances.of(robot, recorded(robot, step), JOINTS).way[:, 1].tolist() == [0, -1, 1, -1]
+    stances = Stances.of(robot, recorded(robot, step), JOINTS)
+    assert stances.way[:, 1].tolist() == [0, -1, 1, -1]
     # one that never rests has none
     swaying = recorded(
         robot,
         [[0.1 * (-1) ** k] * 5 for k in range(4)],
     )
-    ways = np.flatnonzero(np.abs(np.diff(swaying.position[:, 0])) > 2e-3)
+    steps = np.abs(np.diff(swaying.position[:, 0]))
+    ways = np.flatnonzero(steps > 2e-3)
     moving = Motion(
         "m",
         JOINTS,
@@ -120,7 +128,11 @@ def test_two_poses_tell_a_load(tmp_path: Path) -> None:
     pytest.importorskip("mujoco")
     from at_rest import STANDS, STILL, WHOLE, Sticky, weighed, write
 
-    answers = weighed(501, (0.3,), seconds=30.0)
+    answers = weighed(
+        501,
+        (0.3,),
+        seconds=30.0,
+    )
     told = {what: (kg, answer) for what, kg, answer in answers}
     for what in (STANDS, WHOLE):
         kg, answer = told[what]
@@ -149,4 +161,7 @@ def test_two_poses_tell_a_load(tmp_path: Path) -> None:
     still = {name: values[12:] for name, values in pose.items()}
     # and nothing was calibrated
     with pytest.raises(TooLittleMotion, match="no joint moved by more than"):
-        replay(write(tmp_path / "still", still), Options(robot="so101"))
+        replay(
+            write(tmp_path / "still", still),
+            Options(robot="so101"),
+        )

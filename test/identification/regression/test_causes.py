@@ -28,7 +28,11 @@ def robot(tmp_path_factory: pytest.TempPathFactory) -> Robot:
     return load_robot(write_robot(tmp_path_factory.mktemp("arm")))
 
 
-@pytest.fixture(scope="module", params=[False, True], ids=["empty", "loaded"])
+@pytest.fixture(
+    scope="module",
+    params=[False, True],
+    ids=["empty", "loaded"],
+)
 def motion(request: pytest.FixtureRequest) -> Motion:
     payload = (1.5, np.array([0.03, 0.0, 0.05])) if request.param else None
     return Twin(5, SIX).record("loaded" if request.param else "empty", 12.0, payload)
@@ -40,7 +44,10 @@ def efforts(
 ) -> Callable[[Motion], Motion]:
     def bent(motion: Motion) -> Motion:
         column = np.array([joint in (None, name) for name in motion.joints])
-        return replace(motion, current_A=motion.current_A * np.where(column, factor, 1.0))
+        return replace(
+            motion,
+            current_A=motion.current_A * np.where(column, factor, 1.0),
+        )
 
     return bent
 
@@ -72,12 +79,14 @@ def test_one_mistake_is_named(
 
 def test_gravity_from_elsewhere_is_named(robot: Robot, motion: Motion) -> None:
     """The arm stands upright, and its file says that it hangs on a wall."""
-    wall = replace(robot, gravity=np.array([0.0, 6.94, -6.94]))
+    wall = replace(
+        robot,
+        gravity=np.array([0.0, 6.94, -6.94]),
+    )
     said = torque_cause(wall, motion)
     assert "--set robot.gravity=[" in said
-    stated = np.array(
-        [float(word) for word in said.rpartition("[")[2].partition("]")[0].split(",")]
-    )
+    inside = said.rpartition("[")[2].partition("]")[0]
+    stated = np.array([float(word) for word in inside.split(",")])
     assert np.arccos(-stated[2] / np.linalg.norm(stated)) < 0.1
 
 
@@ -103,11 +112,20 @@ def test_a_centre_that_is_stated_wrongly_is_named(robot: Robot) -> None:
     empty = arm.record("empty", 15.0)
     loaded = arm.record("loaded", 12.0, held)
     right, wrong = (
-        PayloadFacts(com=com, com_std=(0.003, 0.003, 0.003))
+        PayloadFacts(
+            com=com,
+            com_std=(0.003, 0.003, 0.003),
+        )
         for com in (tuple(held[1]), (0.25, 0.0, 0.0))
     )
     assert identify_in_motion(robot, [loaded], [empty], right, True).verdict is Verdict.ACCEPTED
-    answer = identify_in_motion(robot, [loaded], [empty], wrong, True)
+    answer = identify_in_motion(
+        robot,
+        [loaded],
+        [empty],
+        wrong,
+        True,
+    )
     assert answer.verdict is Verdict.REJECTED and answer.reasons[0].startswith(
         "loaded: payload.com is stated as [0.25, 0, 0]"
     )
@@ -137,18 +155,37 @@ def test_a_centre_stated_a_few_centimetres_off_is_named_by_an_answer_and_by_a_re
             com=(x, 0.0, 0.05),
             com_std=(0.003, 0.003, 0.003),
         )
-        answer = identify_in_motion(robot, [loaded], [empty], facts, True)
+        answer = identify_in_motion(
+            robot,
+            [loaded],
+            [empty],
+            facts,
+            True,
+        )
         assert (
             answer.verdict is Verdict.REJECTED
             and f"stated as [{x:g}, 0, 0.05] m" in answer.reasons[0]
         )
         centre = (np.asarray(facts.com), np.asarray(facts.com_std))
-        learnt = calibrate_motions(robot, [empty], [(loaded, 1.5)], centre)
+        learnt = calibrate_motions(
+            robot,
+            [empty],
+            [(loaded, 1.5)],
+            centre,
+        )
         assert (
             learnt.verdict is Verdict.REJECTED and "payload.com is stated as" in learnt.reasons[0]
         )
     right = (held[1], np.full(3, 0.003))
-    assert calibrate_motions(robot, [empty], [(loaded, 1.5)], right).verdict is Verdict.ACCEPTED
+    assert (
+        calibrate_motions(
+            robot,
+            [empty],
+            [(loaded, 1.5)],
+            right,
+        ).verdict
+        is Verdict.ACCEPTED
+    )
 
 
 def test_two_motions_that_hold_something_elsewhere_are_told_apart(robot: Robot) -> None:
@@ -156,11 +193,20 @@ def test_two_motions_that_hold_something_elsewhere_are_told_apart(robot: Robot) 
     arm = Twin(5, SIX)
     empty = arm.record("empty", 15.0)
     one, other = (
-        arm.record(name, 12.0, (1.5, np.array(centre)))
+        arm.record(
+            name,
+            12.0,
+            (1.5, np.array(centre)),
+        )
         for name, centre in (("one", [0.03, 0.0, 0.15]), ("other", [0.03, 0.0, -0.15]))
     )
     assert identify_in_motion(robot, [one], [empty], PayloadFacts()).verdict is Verdict.ACCEPTED
-    answer = identify_in_motion(robot, [one, other], [empty], PayloadFacts())
+    answer = identify_in_motion(
+        robot,
+        [one, other],
+        [empty],
+        PayloadFacts(),
+    )
     assert answer.verdict is Verdict.REJECTED
     assert answer.reasons[0].startswith(
         "each motion is explained by itself, and together they are not: one 1"

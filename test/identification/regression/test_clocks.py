@@ -82,7 +82,10 @@ def solved(pair: Pair, motion: Motion) -> Solved:
     )
     # dry friction goes with the direction alone, which a slow joint's pace blurs
     count = problem.count
-    waves = slice(10 + 13 * count, 10 + 17 * count)
+    waves = slice(
+        10 + 13 * count,
+        10 + 17 * count,
+    )
     coulomb = slice(
         problem.own(0).start + count,
         problem.own(0).start + 2 * count,
@@ -135,8 +138,12 @@ def own_column(found: Solved, kind: str) -> np.ndarray:
 def test_torque_follows_the_lag_as_a_difference_quotient_says(twin: Pair, lag_s: float) -> None:
     step_s = 1e-3
     # without noise, which the interpolation of a shift smooths
-    angle = 3.0 * twin.loaded.times_s[:, None] + np.arange(len(twin.loaded.joints))
-    smooth = replace(twin.loaded, current_A=np.sin(angle))
+    phases = np.arange(len(twin.loaded.joints))
+    angle = 3.0 * twin.loaded.times_s[:, None] + phases
+    smooth = replace(
+        twin.loaded,
+        current_A=np.sin(angle),
+    )
     found = solved(twin, later(smooth, lag_s))
     after, before = (
         solved(twin, later(smooth, lag_s + step)).problem.torque for step in (step_s, -step_s)
@@ -146,7 +153,10 @@ def test_torque_follows_the_lag_as_a_difference_quotient_says(twin: Pair, lag_s:
     stretch = found.problem.stretch
     inner = (stretch > 0) & (stretch < stretch.max())
     # what is later raises the left side, and the column stands on the right
-    assert column[inner] == pytest.approx(quotient[inner], abs=0.02 * np.abs(column).max())
+    assert column[inner] == pytest.approx(
+        quotient[inner],
+        abs=0.02 * np.abs(column).max(),
+    )
 
 
 def test_a_clock_that_keeps_time_is_left_alone(twin: Pair) -> None:
@@ -172,8 +182,18 @@ def test_the_pace_of_a_clock_is_found_and_followed(twin: Pair, pace: float) -> N
     clock = clock_of(twin.robot, wrong)
     assert abs(np.log(clock.pace / pace)) < 3.0 * np.hypot(clock.pace_std, 0.03)
     loaded = at_pace(twin.loaded, pace)
-    both = identify_in_motion(twin.robot, [loaded], [wrong], PayloadFacts())
-    alone = identify_in_motion(twin.robot, [loaded], [twin.empty], PayloadFacts())
+    both = identify_in_motion(
+        twin.robot,
+        [loaded],
+        [wrong],
+        PayloadFacts(),
+    )
+    alone = identify_in_motion(
+        twin.robot,
+        [loaded],
+        [twin.empty],
+        PayloadFacts(),
+    )
     assert holds(both, twin.payload_kg)
     assert holds(alone, twin.payload_kg)
     assert sum("the loop ran at" in note for note in both.notes) == 2

@@ -33,15 +33,28 @@ class Pair:
     empty: Motion
 
     def weighed(self, loaded: Motion, empty: Motion) -> Estimate:
-        return identify_in_motion(self.robot, [loaded], [empty], PayloadFacts())
+        return identify_in_motion(
+            self.robot,
+            [loaded],
+            [empty],
+            PayloadFacts(),
+        )
 
 
-def pair_of(folder: Path, build: Build, seed: int) -> Pair:
+def pair_of(
+    folder: Path,
+    build: Build,
+    seed: int,
+) -> Pair:
     arm = DifferingArm(seed, build, 40.0)
     held = arm.held()
     robot = load_robot(write_robot(folder, build=build))
     empty = arm.recorded("empty", alike=True)
-    return Pair(robot, arm.recorded("loaded", held, alike=True), empty)
+    return Pair(
+        robot,
+        arm.recorded("loaded", held, alike=True),
+        empty,
+    )
 
 
 @pytest.fixture(scope="module")
@@ -65,7 +78,11 @@ def turned(
     )
 
 
-def exchanged(motion: Motion, one: int, other: int) -> Motion:
+def exchanged(
+    motion: Motion,
+    one: int,
+    other: int,
+) -> Motion:
     """Two joints stand under each other's name."""
     order = list(range(len(motion.joints)))
     order[one] = other
@@ -104,7 +121,10 @@ def test_the_loaded_recording_alone(six: Pair, joint: int) -> None:
 
 
 def test_the_baseline_alone(six: Pair) -> None:
-    answer = six.weighed(six.loaded, turned(six.empty, 2))
+    answer = six.weighed(
+        six.loaded,
+        turned(six.empty, 2),
+    )
     assert_named(answer, "empty: positions of j3 are counted the other way round")
 
 
@@ -118,7 +138,12 @@ def test_two_joints_under_each_others_name(six: Pair) -> None:
 
 def test_an_effort_that_decides_nothing_does_not_stop_a_weighing(six: Pair) -> None:
     answer = six.weighed(
-        turned(six.loaded, 0, positions=False, efforts=True),
+        turned(
+            six.loaded,
+            0,
+            positions=False,
+            efforts=True,
+        ),
         six.empty,
     )
     assert answer.verdict.value == "accepted"
@@ -126,15 +151,32 @@ def test_an_effort_that_decides_nothing_does_not_stop_a_weighing(six: Pair) -> N
 
 def nothing_is_named(pair: Pair) -> None:
     joints = len(pair.loaded.joints)
-    louder = replace(pair.loaded, current_A=2.0 * pair.loaded.current_A)
+    louder = replace(
+        pair.loaded,
+        current_A=2.0 * pair.loaded.current_A,
+    )
     elsewhere = replace(
         pair.loaded,
         position=pair.loaded.position + 0.3 * np.eye(joints)[2],
     )
     for motion in (pair.loaded, louder, elsewhere):
-        assert misread(pair.robot, [motion], [pair.empty]) is None
+        assert (
+            misread(
+                pair.robot,
+                [motion],
+                [pair.empty],
+            )
+            is None
+        )
     negated = [replace(each, current_A=-each.current_A) for each in (pair.loaded, pair.empty)]
-    assert misread(pair.robot, negated[:1], negated[1:]) is None
+    assert (
+        misread(
+            pair.robot,
+            negated[:1],
+            negated[1:],
+        )
+        is None
+    )
 
 
 def test_nothing_is_named_where_nothing_or_something_else_is_wrong(six: Pair) -> None:
@@ -155,7 +197,10 @@ def test_a_small_arm(tmp_path: Path, joint: int) -> None:
 @pytest.fixture(scope="module")
 def real() -> Pair:
     robot = load_robot("ur10e")
-    request = Request(robot, Options(robot="ur10e", effort_unit="A"))
+    request = Request(
+        robot,
+        Options(robot="ur10e", effort_unit="A"),
+    )
     loaded, empty = (bag_motion(REAL / f"ur10e_{what}_14", request) for what in ("loaded", "empty"))
     return Pair(robot, loaded, empty)
 
@@ -181,7 +226,11 @@ class TestRealArm:
     def test_each_joint(self, real: Pair, joint: int) -> None:
         """Four of them were accepted, with a note that the torque of a wrist was not explained."""
         for where, loaded, empty in scopes(real, joint):
-            found = misread(real.robot, [loaded], [empty])
+            found = misread(
+                real.robot,
+                [loaded],
+                [empty],
+            )
             assert found is not None and found.of_positions
             name = real.loaded.joints[joint]
             assert found.words.startswith(f"{where}: positions of {name} are counted")

@@ -20,6 +20,7 @@ from proprio_ros.identification.regression.motion_fit import (
     fit_empty,
     fit_payload,
 )
+from proprio_ros.identification.regression.one_joint_fit import rms
 from proprio_ros.recordings.motions import Motion
 from proprio_ros.robot import Robot, RobotModel, load_robot
 from proprio_ros.robot.regressor import body_parameters, point_mass
@@ -39,7 +40,9 @@ class Ideal:
             coms + rng.normal(0.0, 0.005, coms.shape),
             inertias,
         )
-        self.armature, self.viscous, self.coulomb = (rng.uniform(0.1, 0.5, 6) for _ in range(3))
+        self.armature = rng.uniform(0.1, 0.5, 6)
+        self.viscous = rng.uniform(0.1, 0.5, 6)
+        self.coulomb = rng.uniform(0.1, 0.5, 6)
 
     def terms(self) -> np.ndarray:
         """In the order of `term_keys`; gears lose nothing, and friction does not go with the place."""
@@ -104,15 +107,22 @@ def test_the_equations_are_mujocos_inverse_dynamics_whatever_the_parameters(
 ) -> None:
     """Smoothing, windows and friction that changes its sign within one lie between the two."""
     arm = Ideal(seed)
-    rows = equations(robot, arm.motion(6.0), SIX.joints)
+    rows = equations(
+        robot,
+        arm.motion(6.0),
+        SIX.joints,
+    )
     assert rows.design.shape[1] == len(arm.terms()) == len(term_keys(SIX.joints))
     for joint in range(6):
         mine = rows.joint == joint
         off = rows.torque[mine] - rows.design[mine] @ arm.terms()
-        assert np.sqrt(np.mean(off**2)) < 0.01 * np.sqrt(np.mean(rows.torque[mine] ** 2))
+        assert rms(off) < 0.01 * rms(rows.torque[mine])
 
 
-@pytest.mark.parametrize(("mass_kg", "x_m"), [(0.2, 0.0), (1.0, 0.05), (3.0, -0.1)])
+@pytest.mark.parametrize(
+    ("mass_kg", "x_m"),
+    [(0.2, 0.0), (1.0, 0.05), (3.0, -0.1)],
+)
 def test_a_payload_adds_the_torque_of_its_parameters(
     robot: Robot, mass_kg: float, x_m: float
 ) -> None:
@@ -146,7 +156,10 @@ def test_mass_and_place_are_found_by_what_the_empty_motion_said(robot: Robot, se
     arm = Ideal(seed)
     mass_kg = 0.2 * seed
     centre = np.array([0.04, -0.03, 0.02])
-    known = fit_empty(robot, [arm.motion(15.0)])
+    known = fit_empty(
+        robot,
+        [arm.motion(15.0)],
+    )
     fit = fit_payload(
         robot,
         [arm.motion(12.0, (mass_kg, centre), phase_s=3.0)],
@@ -159,7 +172,11 @@ def test_mass_and_place_are_found_by_what_the_empty_motion_said(robot: Robot, se
         atol=0.005,
     )
     assert np.all(np.abs(fit.off["own_scale"][0]) < 0.01)
-    nothing = fit_payload(robot, [arm.motion(12.0, phase_s=3.0)], known)
+    nothing = fit_payload(
+        robot,
+        [arm.motion(12.0, phase_s=3.0)],
+        known,
+    )
     assert abs(nothing.values[0]) < min(0.003, nothing.half_width)
 
 
@@ -176,12 +193,19 @@ def test_friction_and_torques_are_those_of_the_arm(robot: Robot) -> None:
         assert values["coulomb", joint] == pytest.approx(arm.coulomb[n], abs=0.03)
         assert abs(values["load_friction", joint]) < 0.01
     # another motion of the same arm needs the torques that the calibration says
-    rows = equations(robot, arm.motion(6.0, phase_s=80.0), SIX.joints)
+    rows = equations(
+        robot,
+        arm.motion(6.0, phase_s=80.0),
+        SIX.joints,
+    )
     off = rows.torque - rows.design @ known.values
-    assert np.sqrt(np.mean(off**2)) < 0.01 * np.sqrt(np.mean(rows.torque**2))
+    assert rms(off) < 0.01 * rms(rows.torque)
 
 
-@pytest.mark.parametrize("by", [(0.96, 1.0, 1.04), (1.03, 0.97), (1.02, 0.99, 0.98, 1.01)])
+@pytest.mark.parametrize(
+    "by",
+    [(0.96, 1.0, 1.04), (1.03, 0.97), (1.02, 0.99, 0.98, 1.01)],
+)
 def test_a_calibration_is_the_mean_of_recordings_whose_torque_differs(
     robot: Robot, by: tuple[float, ...]
 ) -> None:
@@ -193,9 +217,13 @@ def test_a_calibration_is_the_mean_of_recordings_whose_torque_differs(
     known = fit_empty(
         robot, [replace(m, current_A=k * m.current_A) for m, k in zip(motions, by, strict=True)]
     )
-    rows = equations(robot, arm.motion(6.0, phase_s=90.0), SIX.joints)
+    rows = equations(
+        robot,
+        arm.motion(6.0, phase_s=90.0),
+        SIX.joints,
+    )
     off = rows.torque - rows.design @ known.values
-    assert np.sqrt(np.mean(off**2)) < 0.01 * np.sqrt(np.mean(rows.torque**2))
+    assert rms(off) < 0.01 * rms(rows.torque)
     fit = fit_payload(
         robot,
         [arm.motion(12.0, (mass_kg, centre), phase_s=3.0)],
@@ -209,7 +237,10 @@ def test_halves_and_loaded_parts_of_a_problem_are_its_equations(robot: Robot) ->
     parts = [
         equations(
             robot,
-            arm.motion(11.0, (0.5, np.zeros(3))),
+            arm.motion(
+                11.0,
+                (0.5, np.zeros(3)),
+            ),
             SIX.joints,
         )
     ]
@@ -234,7 +265,12 @@ def test_halves_and_loaded_parts_of_a_problem_are_its_equations(robot: Robot) ->
 
 
 def test_another_torque_constant_than_the_calibration_s_is_refused(robot: Robot) -> None:
-    check_torque_constant(robot, "j1", SIX.constants[0], "motions were")
+    check_torque_constant(
+        robot,
+        "j1",
+        SIX.constants[0],
+        "motions were",
+    )
     with pytest.raises(
         RobotError, match="j1 is 10 N m/A, but motions were calibrated with 9: calibrate again"
     ):
@@ -245,4 +281,8 @@ def test_a_hand_that_no_joint_moves_is_refused(tmp_path: Path) -> None:
     path = write_robot(tmp_path)
     path.write_text(path.read_text().replace("payload_frame: hand", "payload_frame: base"))
     with pytest.raises(RobotError, match="base"):
-        equations(load_robot(path), Ideal(1).motion(4.0), SIX.joints)
+        equations(
+            load_robot(path),
+            Ideal(1).motion(4.0),
+            SIX.joints,
+        )

@@ -121,13 +121,21 @@ def test_torques_in_another_unit_than_the_empty_ones_are_no_payload(
     loaded = replace(loaded, current_A=loaded.current_A * factor)
     if calibrated:
         estimate = identify_in_motion(
-            replace(robot, motion_calibration=fit_empty(robot, [empty])),
+            replace(
+                robot,
+                motion_calibration=fit_empty(robot, [empty]),
+            ),
             [loaded],
             [],
             PayloadFacts(),
         )
     else:
-        estimate = identify_in_motion(robot, [loaded], [empty], PayloadFacts())
+        estimate = identify_in_motion(
+            robot,
+            [loaded],
+            [empty],
+            PayloadFacts(),
+        )
     if not codes:
         assert estimate.verdict is Verdict.ACCEPTED
     else:
@@ -145,7 +153,10 @@ def test_an_arm_drawn_at_random_weighs_with_what_an_empty_motion_said(
     robot = robots[len(build.axes)]
     arm = Twin(seed, build)
     mass, centre = arm.payload(np.random.default_rng(seed))
-    known = fit_empty(robot, [arm.record("empty", 20.0)])
+    known = fit_empty(
+        robot,
+        [arm.record("empty", 20.0)],
+    )
     fit = fit_payload(
         robot,
         [arm.record("loaded", 15.0, (mass, centre))],
@@ -156,7 +167,11 @@ def test_an_arm_drawn_at_random_weighs_with_what_an_empty_motion_said(
     assert abs(fit.values[0] - mass) < min(1.5 * half_kg, within_kg)
     # one empty recording does not show by how much recordings differ
     assert half_kg < 4.5 * within_kg
-    nothing = fit_payload(robot, [arm.record("empty again", 15.0)], known)
+    nothing = fit_payload(
+        robot,
+        [arm.record("empty again", 15.0)],
+        known,
+    )
     half_kg = nothing.quantile * float(nothing.std[0])
     assert abs(nothing.values[0]) < 1.5 * half_kg and half_kg < 1.5 * within_kg
 
@@ -172,7 +187,10 @@ def test_torque_constants_apart_show_where_two_joints_carry_the_same(
     arm.place[:] = 0.3
     mass = 0.1
     centre = np.array([0.01, 0.0, 0.0])
-    known = fit_empty(robot, [arm.record("empty", 20.0)])
+    known = fit_empty(
+        robot,
+        [arm.record("empty", 20.0)],
+    )
     values = dict(zip(known.keys, known.values, strict=True))
     # the prior is 1 %, so 20 s do not show all of it
     assert 0.04 < values["torque_share", "j2"] - values["torque_share", "j3"] < 0.09
@@ -196,7 +214,10 @@ def test_a_reference_tells_torque_constants_that_are_off(robots: dict[int, Robot
     drives = {
         name: replace(
             drive,
-            torque_constant=replace(drive.torque_constant, std=0.1 * drive.torque_constant.value),
+            torque_constant=replace(
+                drive.torque_constant,
+                std=0.1 * drive.torque_constant.value,
+            ),
         )
         for name, drive in stated.drive_trains.items()
     }
@@ -208,15 +229,21 @@ def test_a_reference_tells_torque_constants_that_are_off(robots: dict[int, Robot
     reference = arm.record("reference", 20.0, (0.2, centre))
     loaded = arm.record("loaded", 20.0, (0.15, centre))
     without = calibrate_motions(robot, [empty])
-    with_it = calibrate_motions(robot, [empty], [(reference, 0.2)])
+    with_it = calibrate_motions(
+        robot,
+        [empty],
+        [(reference, 0.2)],
+    )
     assert without.verdict is with_it.verdict is Verdict.ACCEPTED
     assert without.motion is not None and with_it.motion is not None
     assert abs(with_it.motion.torque_scale - 0.88) < 0.05 and with_it.motion.torque_scale_std < 0.05
-    rough, fine = (fit_payload(robot, [loaded], each.motion) for each in (without, with_it))
+    rough = fit_payload(robot, [loaded], without.motion)
+    fine = fit_payload(robot, [loaded], with_it.motion)
     assert rough.values[0] > 1.08 * 0.15
     for fit in (rough, fine):
         assert abs(fit.values[0] - 0.15) < fit.quantile * float(fit.std[0])
-    assert abs(fine.values[0] - 0.15) < 0.006 and fine.std[0] < 0.7 * rough.std[0]
+    assert abs(fine.values[0] - 0.15) < 0.006
+    assert fine.std[0] < 0.7 * rough.std[0]
     assert without.weighable is not None and "--reference" in without.weighable.sentence()
     assert (
         with_it.weighable is not None and with_it.weighable.std_kg < 0.6 * without.weighable.std_kg
@@ -234,7 +261,9 @@ def test_several_empty_motions_say_more_and_show_what_differs(robots: dict[int, 
     three = fit_empty(robot, [first, second, third])
     assert len(three.runs) == 3 and three.stretches == 3 * one.stretches
     bodies = slice(0, 40)
-    assert np.all(np.diag(three.covariance)[bodies] <= 1.05 * np.diag(one.covariance)[bodies])
+    of_three = np.diag(three.covariance)[bodies]
+    of_one = np.diag(one.covariance)[bodies]
+    assert np.all(of_three <= 1.05 * of_one)
     weighed = calibrate_motions(robot, [first, second, third]).weighed_empty
     assert [each.name for each in weighed] == ["empty 0", "empty 1", "empty 2"]
     assert all(abs(each.mass_kg) < each.half_width < 0.01 for each in weighed)
@@ -277,7 +306,11 @@ def test_what_is_stated_of_torque_counts_beside_a_reference_that_does_not_contra
         arm.torque = arm.torque * off
         empty = arm.record("empty", 20.0)
         reference = arm.record("reference", 20.0, (0.2, centre))
-        learnt = calibrate_motions(robot, [empty], [(reference, 0.2)]).motion
+        learnt = calibrate_motions(
+            robot,
+            [empty],
+            [(reference, 0.2)],
+        ).motion
         assert learnt is not None and learnt.referenced
         scales.append((learnt.torque_scale, learnt.torque_scale_std))
     (right, right_std), (wrong, wrong_std) = scales

@@ -107,10 +107,21 @@ def test_an_arm_at_rest_keeps_its_answer_whatever_its_motors_do(case: Case) -> N
     )
     # windows that began before the arm stood still may have been made since
     for step in range(300, 600):
-        weight.add(end_s + 0.01 * step, position, -current)
+        weight.add(
+            end_s + 0.01 * step,
+            position,
+            -current,
+        )
     later = weight.estimate()
     assert later is not None
-    assert replace(later, time_s=still.time_s, changed=still.changed) == still
+    assert (
+        replace(
+            later,
+            time_s=still.time_s,
+            changed=still.changed,
+        )
+        == still
+    )
 
 
 @pytest.mark.long
@@ -120,7 +131,11 @@ def test_samples_that_say_nothing_change_nothing(case: Case) -> None:
         usual.add(time_s, position, current)
         disturbed.add(time_s, position, current)
         disturbed.add(time_s, position + 1.0, current)  # the same instant again
-        disturbed.add(time_s + 1e-4, np.full(4, np.nan), current)
+        disturbed.add(
+            time_s + 1e-4,
+            np.full(4, np.nan),
+            current,
+        )
         disturbed.add(time_s - 0.1, position, 2.0 * current)
     assert usual.estimate() == disturbed.estimate() is not None
 
@@ -183,11 +198,13 @@ def test_torque_constants_apart_and_friction_by_the_angle_are_known_from_the_cal
             if weight.add(time_s, position, current) and time_s > 4.0:
                 estimate = weight.estimate()
                 assert estimate is not None
-                rows.append((estimate.mass_kg - HELD[0], estimate.ci95_kg[1] - estimate.mass_kg))
+                half_kg = estimate.ci95_kg[1] - estimate.mass_kg
+        rows.append((estimate.mass_kg - HELD[0], half_kg))
         late[name] = np.array(rows)
     rms_kg = {name: np.sqrt(np.mean(rows[:, 0] ** 2)) for name, rows in late.items()}
     assert rms_kg["known"] < 0.002 and rms_kg["unknown"] > 0.005, rms_kg
-    assert np.mean(np.abs(late["known"][:, 0]) < late["known"][:, 1]) > 0.9
+    errors, halves = late["known"].T
+    assert np.mean(np.abs(errors) < halves) > 0.9
 
 
 def without_shares_and_waves(known: MotionCalibration) -> MotionCalibration:
@@ -207,7 +224,10 @@ def without_shares_and_waves(known: MotionCalibration) -> MotionCalibration:
 
 @pytest.mark.long
 def test_a_calibration_of_another_arm_is_refused(case: Case) -> None:
-    other = replace(case.calibration, joints=("j2", "j1", "j3", "j4"))
+    other = replace(
+        case.calibration,
+        joints=("j2", "j1", "j3", "j4"),
+    )
     with pytest.raises(RobotError, match="the motion calibration is of j2"):
         OnlineEstimator(case.robot, other)
     assert LATEST_STEP_S > 0.0

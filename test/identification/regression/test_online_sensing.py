@@ -89,13 +89,25 @@ def test_a_stall_is_no_change(case: Case) -> None:
     effort = case.day.current_A.copy()
     speed = np.abs(np.diff(case.day.position, axis=0)).max(axis=1)
     for start_s in (1.0, 2.0, 3.0):  # where the arm is fast
-        first = int(np.argmax(np.where(np.abs(case.day.times_s[1:] - start_s) < 0.4, speed, 0.0)))
-        position[first : first + 60], effort[first : first + 60] = position[first], effort[first]
-    stalled = replace(case.day, position=position, current_A=effort)
+        near = np.abs(case.day.times_s[1:] - start_s) < 0.4
+        first = int(np.argmax(np.where(near, speed, 0.0)))
+        stalls = slice(first, first + 60)
+        position[stalls] = position[first]
+        effort[stalls] = effort[first]
+    stalled = replace(
+        case.day,
+        position=position,
+        current_A=effort,
+    )
     assert len(changes(list(told(case, stalled)))) == 2
     weight = OnlineEstimator(case.robot, case.known)
     frozen = 0
-    for row in zip(stalled.times_s.tolist(), position, effort, strict=True):
+    for row in zip(
+        stalled.times_s.tolist(),
+        position,
+        effort,
+        strict=True,
+    ):
         weight.add(*row)
         frozen += weight.frozen
     assert 150 < frozen < 180
@@ -107,7 +119,8 @@ def test_joint_states_that_come_in_bursts_are_no_change(case: Case) -> None:
     times_s = case.day.times_s.copy()
     for first in (200, 400, 600):
         times_s[first : first + 40] = times_s[first + 40] - 1e-4 * np.arange(40, 0, -1)
-    assert len(changes(list(told(case, replace(case.day, times_s=times_s))))) == 2
+    bunched = replace(case.day, times_s=times_s)
+    assert len(changes(list(told(case, bunched)))) == 2
 
 
 @pytest.mark.long
@@ -121,7 +134,10 @@ def test_poses_that_the_calibration_did_not_cover_widen_the_interval(case: Case)
         [arm.work(16.0, name=f"near {n}") for n in range(2)],
     )
     arm.reached_rad = wide
-    motion = arm.work(6.0, [(0.0, arm.load(MASS_KG))])
+    motion = arm.work(
+        6.0,
+        [(0.0, arm.load(MASS_KG))],
+    )
     half = []
     for calibration in (case.known, near):
         estimate = list(told(case, motion, calibration))[-1][1]
@@ -139,7 +155,11 @@ def test_the_inertia_matrix_is_that_of_mujoco(case: Case, tmp_path: Path) -> Non
     model = spec.compile()
     data = mujoco.MjData(model)
     full = np.zeros((7, 7))
-    arm = Arm.of(case.robot, case.known.joints, {})
+    arm = Arm.of(
+        case.robot,
+        case.known.joints,
+        {},
+    )
     terms = np.concatenate([*arm.bodies, 0.01 * np.arange(7)])
     for pose in other.rng.uniform(-2.0, 2.0, (3, 7)):
         data.qpos[:] = pose
@@ -163,7 +183,10 @@ def test_every_second_sample_may_be_left_out_under_way(case: Case) -> None:
     """As where a busy computer has no time for all: the mass stays, and a change is seen as soon."""
     count = len(case.day.times_s)
     row = np.arange(count)
-    rests = kept(case.day, (row < 300) | (row % 2 == 0))
+    rests = kept(
+        case.day,
+        (row < 300) | (row % 2 == 0),
+    )
     day = list(told(case, rests))
     noticed = changes(day)
     assert len(noticed) == 2 and all(
@@ -190,7 +213,10 @@ def test_nothing_is_news_while_no_window_is_complete(case: Case) -> None:
 def test_a_publisher_that_becomes_faster_is_heard(case: Case, every: int) -> None:
     count = len(case.day.times_s)
     row = np.arange(count)
-    faster = kept(case.day, (row > 600) | (row % every == 0))
+    faster = kept(
+        case.day,
+        (row > 600) | (row % every == 0),
+    )
     last_s, last = list(told(case, faster))[-1]
     assert last_s > float(case.day.times_s[-1]) - 0.2
     assert last.time_s > last_s - 0.2 and last.ci95_kg[0] < 0.0 < last.ci95_kg[1]

@@ -40,13 +40,18 @@ FRICTION = np.full(6, 0.2)
 def test_what_nobody_repeated_differs_as_published() -> None:
     stated = RecordingVariability.published(FRICTION, np.zeros(6))
     # viscous and Coulomb friction, offset, share, zero of two joints, the share in common, and a clock that keeps time
-    assert stated.std == pytest.approx(
-        [*[0.2 * PUBLISHED["friction"]] * 4, *[0.2 * PUBLISHED["offset"]] * 2, *[PUBLISHED["own_scale"]] * 2,
-         *[PUBLISHED["zero"]] * 2, PUBLISHED["common_scale"], 1e-9, 1e-9]
-    )  # fmt: skip
+    of_friction = [0.2 * PUBLISHED["friction"]] * 4 + [0.2 * PUBLISHED["offset"]] * 2
+    of_torque = [PUBLISHED["own_scale"]] * 2
+    of_zeros = [PUBLISHED["zero"]] * 2
+    in_common = [PUBLISHED["common_scale"], 1e-9, 1e-9]
+    assert stated.std == pytest.approx([*of_friction, *of_torque, *of_zeros, *in_common])
     # a recording that tells nothing changes nothing
     off = np.zeros((1, 13))
-    unchanged = stated.learnt(stated, off, np.square(stated.std)[None])
+    unchanged = stated.learnt(
+        stated,
+        off,
+        np.square(stated.std)[None],
+    )
     assert unchanged.std == pytest.approx(stated.std)
     assert unchanged.recordings == pytest.approx(dict.fromkeys(PUBLISHED, PSEUDO_RECORDINGS))
 
@@ -60,7 +65,11 @@ def test_spreads_follow_recordings_where_there_are_many() -> None:
     off = np.random.default_rng(1).normal(size=(400, 13)) * true.std
     learnt = stated
     for _ in range(5):
-        learnt = stated.learnt(learnt, off, np.full_like(off, 1e-12))
+        learnt = stated.learnt(
+            learnt,
+            off,
+            np.full_like(off, 1e-12),
+        )
     for kind, spread in true.spreads.items():
         assert learnt.spreads[kind] == pytest.approx(spread, rel=0.12, abs=1e-9)
 
@@ -73,10 +82,18 @@ def test_what_rests_on_several_spreads_is_known_as_well_as_the_least_of_them() -
 
 
 def test_a_published_spread_counts_as_so_many_runs() -> None:
-    assert spread_of_runs(1.0, np.array([3.0]), np.array([1.0]), 4.0) == pytest.approx(
-        np.sqrt(13.0 / 5.0)
-    )
-    assert spread_of_runs(1.0, np.array([3.0]), np.array([0.0]), 1e9) == pytest.approx(1.0)
+    assert spread_of_runs(
+        1.0,
+        np.array([3.0]),
+        np.array([1.0]),
+        4.0,
+    ) == pytest.approx(np.sqrt(13.0 / 5.0))
+    assert spread_of_runs(
+        1.0,
+        np.array([3.0]),
+        np.array([0.0]),
+        1e9,
+    ) == pytest.approx(1.0)
 
 
 def test_the_evidence_is_the_density_of_the_data_and_the_terms_are_their_posterior() -> None:
@@ -86,21 +103,32 @@ def test_the_evidence_is_the_density_of_the_data_and_the_terms_are_their_posteri
 
     def density(variances: np.ndarray) -> float:
         of_data = np.eye(12) + (matrix * variances) @ matrix.T
-        return -0.5 * float(data @ np.linalg.solve(of_data, data) + np.linalg.slogdet(of_data)[1])
+        squares = data @ np.linalg.solve(of_data, data)
+        return -0.5 * float(squares + np.linalg.slogdet(of_data)[1])
 
     one = np.array([1.0, 2.0, 0.5])
     none = np.zeros(3)
-    evidence, terms = under(one, matrix.T @ matrix, matrix.T @ data)
+    evidence, terms = under(
+        one,
+        matrix.T @ matrix,
+        matrix.T @ data,
+    )
     assert evidence == pytest.approx(density(one) - density(none))
     assert terms == pytest.approx(
-        np.linalg.solve(matrix.T @ matrix + np.diag(1.0 / one), matrix.T @ data)
+        np.linalg.solve(
+            matrix.T @ matrix + np.diag(1.0 / one),
+            matrix.T @ data,
+        )
     )
 
 
 def test_spreads_that_the_data_decide() -> None:
     pairs = np.array(list(itertools.product(FACTORS, repeat=2)))
     # where they say nothing, recordings agree as likely as not, and the spread is a half Cauchy's as far as that is looked at
-    weights, agree = likely(np.zeros(len(pairs)), pairs)
+    weights, agree = likely(
+        np.zeros(len(pairs)),
+        pairs,
+    )
     assert agree == pytest.approx(0.5) and weights.sum() == pytest.approx(1.0)
     cut = np.sqrt(max(FACTORS) / np.arctan(max(FACTORS)) - 1.0)
     assert np.sqrt(weights @ np.square(pairs)) == pytest.approx([cut, cut], rel=0.15)
@@ -118,14 +146,21 @@ def test_terms_are_followed_as_far_as_they_stand_out() -> None:
     kinds = np.array(["common_scale", "own_scale", "zero"])
     for found, least, most in ((0.3, 0.0, 0.05), (6.0, 5.5, 6.0)):
         # each seen to a third of what is stated
-        evidence = by_evidence(kinds, 9.0 * np.eye(3), 9.0 * np.full(3, found))
+        evidence = by_evidence(
+            kinds,
+            9.0 * np.eye(3),
+            9.0 * np.full(3, found),
+        )
         assert np.all(evidence.mean > least) and np.all(evidence.mean < most)
         assert len(evidence.terms) == len(evidence.weights) == len(FACTORS) ** 2
         assert set(evidence.wider) == set(kinds)
     assert evidence.wider["common_scale"] > 2.0
 
 
-def mostly_hold(answers: list[Answer], within: float = 4.0) -> None:
+def mostly_hold(
+    answers: list[Answer],
+    within: float = 4.0,
+) -> None:
     given = [answer for answer in answers if answer.given]
     worst = max(given, key=lambda answer: answer.sigmas)
     assert worst.sigmas < within, worst
@@ -155,7 +190,12 @@ def test_efforts_a_tenth_too_large_are_refused_or_the_answer_says_what_they_do(
     loaded = arm.recorded("later", held, alike=True)
     louder_by = (0.95, 1.05, 1.1)
     right, *wrong = (
-        identify_in_motion(robot, [louder(loaded, by)], [empty], PayloadFacts())
+        identify_in_motion(
+            robot,
+            [louder(loaded, by)],
+            [empty],
+            PayloadFacts(),
+        )
         for by in (1.0, *louder_by)
     )
     (said,) = (line for line in right.assumptions if line.startswith("torques are read"))
@@ -163,7 +203,8 @@ def test_efforts_a_tenth_too_large_are_refused_or_the_answer_says_what_they_do(
     assert mass.ci95[0] < held[0] < mass.ci95[1]
     if build is SIX:
         assert said.endswith("shows that from some 8 % on")
-        assert wrong[-1].verdict is Verdict.REJECTED and wrong[-1].reasons[0].code == "other_torque"
+        assert wrong[-1].verdict is Verdict.REJECTED
+        assert wrong[-1].reasons[0].code == "other_torque"
         return
     assert (
         said.endswith("does not show that")
@@ -196,13 +237,20 @@ def test_a_servo_whose_coulomb_friction_has_grown_by_half(tmp_path: Path, seed: 
     calibrate_from_bags(
         [],
         known,
-        Options(robot=str(tmp_path / "servo.yaml"), settings=POINT),
+        Options(
+            robot=str(tmp_path / "servo.yaml"),
+            settings=POINT,
+        ),
         tmp_path / "known.yaml",
     )
     servo.coulomb_N_m *= 1.5
-    bag = write(tmp_path / "asked", servo.moved(0.5, random, 100.0))
+    bag = write(
+        tmp_path / "asked",
+        servo.moved(0.5, random, 100.0),
+    )
     mass = replay(bag, Options(calibration=tmp_path / "known.yaml", settings=POINT)).values[0]
-    assert mass.value == pytest.approx(0.5, rel=0.03) and mass.ci95[0] < 0.5 < mass.ci95[1]
+    assert mass.value == pytest.approx(0.5, rel=0.03)
+    assert mass.ci95[0] < 0.5 < mass.ci95[1]
     assert mass.ci95[1] - mass.ci95[0] < 0.06
 
 

@@ -50,10 +50,12 @@ def test_an_impossible_estimate_becomes_a_body_that_is_as_near_as_the_truth(seed
     smallest = np.linalg.eigvalsh(pseudo_inertia(body)).min()
     assert smallest > 0.0
 
-    rest = covariance[1:, 1:] - np.outer(covariance[1:, 0], covariance[0, 1:]) / covariance[0, 0]
+    by_mass = np.outer(covariance[1:, 0], covariance[0, 1:]) / covariance[0, 0]
+    rest = covariance[1:, 1:] - by_mass
 
     def distance(other: np.ndarray) -> float:
-        return float((other - estimate)[1:] @ np.linalg.solve(rest, (other - estimate)[1:]))
+        off = (other - estimate)[1:]
+        return float(off @ np.linalg.solve(rest, off))
 
     assert distance(body) <= distance(truth) * (1.0 + 1e-6)
     # and no neighbour among bodies is nearer
@@ -73,7 +75,10 @@ def test_inertia_about_the_centre_and_its_gradient(seed: int) -> None:
     expected = sum(
         m * (p @ p * np.eye(3) - np.outer(p, p)) for m, p in zip(masses, away, strict=True)
     )
-    assert value == pytest.approx(expected[np.triu_indices(3)], abs=1e-14)
+    assert value == pytest.approx(
+        expected[np.triu_indices(3)],
+        abs=1e-14,
+    )
     for column in range(10):
         step = np.zeros(10)
         step[column] = 1e-6

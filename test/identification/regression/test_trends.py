@@ -35,8 +35,17 @@ def motions(twin: Twin) -> tuple[Motion, Motion]:
     return twin.record("loaded", SECONDS, PAYLOAD), twin.record("empty", SECONDS)
 
 
-def weighed(robot: Robot, loaded: Motion, empty: Motion) -> Estimate:
-    return identify_in_motion(robot, [loaded], [empty], PayloadFacts())
+def weighed(
+    robot: Robot,
+    loaded: Motion,
+    empty: Motion,
+) -> Estimate:
+    return identify_in_motion(
+        robot,
+        [loaded],
+        [empty],
+        PayloadFacts(),
+    )
 
 
 def off_in_sds(answer: Estimate) -> float:
@@ -45,24 +54,44 @@ def off_in_sds(answer: Estimate) -> float:
     return abs(mass.value - LOAD_KG) / mass.std
 
 
-def warmed(motion: Motion, friction: float, torque: float) -> Motion:
+def warmed(
+    motion: Motion,
+    friction: float,
+    torque: float,
+) -> Motion:
     """Friction that falls by a share of what each joint's effort is, and torque per effort, along the recording."""
     along = motion.times_s[:, None] / motion.times_s[-1]
-    velocity = np.gradient(motion.position, motion.times_s, axis=0)
+    velocity = np.gradient(
+        motion.position,
+        motion.times_s,
+        axis=0,
+    )
     size = friction * motion.current_A.std(axis=0)
-    current = (1.0 - torque * along) * motion.current_A - size * along * np.tanh(velocity / 0.02)
+    less_friction = size * along * np.tanh(velocity / 0.02)
+    current = (1.0 - torque * along) * motion.current_A - less_friction
     return replace(motion, current_A=current)
 
 
 @pytest.mark.parametrize(
-    ("friction", "torque"), [(0.15, 0.0), (-0.15, 0.0), (0.4, 0.0), (0.0, 0.06), (0.0, -0.06)]
+    ("friction", "torque"),
+    [
+        (0.15, 0.0),
+        (-0.15, 0.0),
+        (0.4, 0.0),
+        (0.0, 0.06),
+        (0.0, -0.06),
+    ],
 )
 def test_motors_that_warm_up_are_followed(
     robot: Robot, motions: tuple[Motion, Motion], friction: float, torque: float
 ) -> None:
     loaded, empty = motions
     right = weighed(robot, loaded, empty)
-    answer = weighed(robot, warmed(loaded, friction, torque), empty)
+    answer = weighed(
+        robot,
+        warmed(loaded, friction, torque),
+        empty,
+    )
     assert answer.verdict is Verdict.ACCEPTED, answer.reasons
     assert off_in_sds(answer) < 3.0
     what = "torque per effort" if torque else "friction"
@@ -80,7 +109,11 @@ def test_nothing_changes_along_a_recording_of_warm_motors(
     assert not any("along the recording" in note for note in answer.notes)
 
 
-def spliced(first: Motion, second: Motion, at_s: float) -> Motion:
+def spliced(
+    first: Motion,
+    second: Motion,
+    at_s: float,
+) -> Motion:
     """One recording until some moment, and from then on another one, half a second later."""
     before = first.times_s < at_s
     after = second.times_s >= at_s

@@ -39,7 +39,9 @@ def test_the_regressor_is_mujocos_inverse_dynamics() -> None:
     data = mujoco.MjData(independent)
     torque = np.zeros_like(position)
     for row in range(len(times_s)):
-        data.qpos[:], data.qvel[:], data.qacc[:] = position[row], velocity[row], acceleration[row]
+        data.qpos[:] = position[row]
+        data.qvel[:] = velocity[row]
+        data.qacc[:] = acceleration[row]
         mujoco.mj_inverse(independent, data)
         torque[row] = data.qfrc_inverse
     windows = Windows.over(len(times_s), 500, 125)
@@ -127,12 +129,18 @@ Recorded = tuple[Robot, Motion, Motion, Motion]
 @pytest.mark.long
 def test_a_payload_and_its_place(twin: Recorded) -> None:
     robot, empty, loaded, _ = twin
-    estimate = identify_in_motion(robot, [loaded], [empty], PayloadFacts())
+    estimate = identify_in_motion(
+        robot,
+        [loaded],
+        [empty],
+        PayloadFacts(),
+    )
     assert estimate.verdict is Verdict.ACCEPTED, estimate.reasons
     mass = estimate.value("payload_mass")
     centre = estimate.value("payload_com")
     assert mass.ci95[0] < 0.8 < mass.ci95[1]
-    assert abs(mass.value - 0.8) < 0.05 and mass.ci95[1] - mass.ci95[0] < 0.12
+    assert abs(mass.value - 0.8) < 0.05
+    assert mass.ci95[1] - mass.ci95[0] < 0.12
     assert all(
         low < truth < high
         for (low, high), truth in zip(centre.ci95, (0.05, 0.03, -0.02), strict=True)
@@ -188,7 +196,12 @@ def test_how_a_long_payload_is_spread(tmp_path: Path) -> None:
 @pytest.mark.long
 def test_an_empty_hand_weighs_nothing(twin: Recorded) -> None:
     robot, empty, _, again = twin
-    estimate = identify_in_motion(robot, [again], [empty], PayloadFacts())
+    estimate = identify_in_motion(
+        robot,
+        [again],
+        [empty],
+        PayloadFacts(),
+    )
     assert estimate.verdict is Verdict.ACCEPTED, estimate.reasons
     mass = estimate.value("payload_mass")
     assert mass.value < 0.05 and mass.ci95[0] == 0.0
@@ -205,7 +218,12 @@ def test_what_must_be_refused(twin: Recorded) -> None:
         verdict: Verdict,
         words: str,
     ) -> None:
-        estimate = identify_in_motion(robot, [motion], baseline, PayloadFacts())
+        estimate = identify_in_motion(
+            robot,
+            [motion],
+            baseline,
+            PayloadFacts(),
+        )
         assert estimate.verdict is verdict and words in estimate.reasons[0], estimate.reasons
         assert estimate.value("payload_mass").value is None
 
@@ -219,7 +237,12 @@ def test_what_must_be_refused(twin: Recorded) -> None:
         "about 0.1 times what the URDF needs: it is in another unit",
     )
     turned = [replace(motion, current_A=-motion.current_A) for motion in (loaded, empty)]
-    refused(turned[0], turned[1:], Verdict.REJECTED, "")
+    refused(
+        turned[0],
+        turned[1:],
+        Verdict.REJECTED,
+        "",
+    )
     # picked up in mid-recording
     longer = replace(
         loaded,
@@ -251,7 +274,11 @@ def test_too_short_a_motion_is_said(twin: Recorded) -> None:
         current_A=loaded.current_A[kept],
     )
     with pytest.raises(RecordingError, match="record 10 s"):
-        fit_payload(robot, [short], fit_empty(robot, [empty]))
+        fit_payload(
+            robot,
+            [short],
+            fit_empty(robot, [empty]),
+        )
 
 
 @pytest.mark.long
@@ -267,11 +294,16 @@ def test_intervals_hold_on_arms_drawn_at_random(tmp_path: Path) -> None:
         held = (mass, np.array([0.05, 0.0, 0.0]) + 0.04 * rng.standard_normal(3))
         loaded = arm.record("loaded", 15.0, held)
         empty = arm.record("empty", 15.0)
-        fit = fit_payload(robot, [loaded], fit_empty(robot, [empty]))
-        far.append(abs(float(fit.values[0]) - mass) / (fit.quantile * float(fit.std[0])))
+        fit = fit_payload(
+            robot,
+            [loaded],
+            fit_empty(robot, [empty]),
+        )
+        far.append(abs(float(fit.values[0]) - mass) / fit.half_width)
         place = fit.values[1:4] / fit.values[0]
         gradient = np.hstack([-place[:, None], np.eye(3)]) / fit.values[0]
-        stds = np.sqrt(np.diag(gradient @ fit.covariance[:4, :4] @ gradient.T))
+        covariance = gradient @ fit.covariance[:4, :4] @ gradient.T
+        stds = np.sqrt(np.diag(covariance))
         off.extend(np.abs(place - held[1]) / (fit.quantile * stds))
     assert sum(share < 1.0 for share in far) >= 7, far
     assert max(far) < 1.6, far
