@@ -141,7 +141,7 @@ def plan(
         masses_kg: What the hand may hold.
         facts: What is known about the object otherwise.
         count: At most so many.
-        progress: Is told how far the search is, in words.
+        progress: Called with how far the search is, in words.
         seconds: How long it may take.
 
     Returns: the best first.
@@ -231,7 +231,7 @@ def with_advice(
         robot: Without the calibration.
         estimate: The calibration.
         count: At most so many further runs.
-        progress: Is told what is being looked for, in words.
+        progress: Called with what is being looked for, in words.
     """
     calibration = estimate.calibration
     whole = estimate.whole

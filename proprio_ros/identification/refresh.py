@@ -67,7 +67,7 @@ def refresh(
     Args:
         robot: With the calibration.
         runs: What was recorded now.
-        progress: Is told what is being done, in words.
+        progress: Called with what is being done, in words.
 
     Returns: the new calibration, or why it is none.
 

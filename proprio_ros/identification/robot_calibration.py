@@ -105,7 +105,7 @@ def calibrate(
     Args:
         robot: As its file states it.
         runs: What was recorded, and what the hand held.
-        progress: Is told what is being done, in words.
+        progress: Called with what is being done, in words.
 
     Returns: the calibration, or why it is none.
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,6 +18,7 @@ from proprio_ros.identification.unknowns import Role
 from proprio_ros.recordings.runs import cut_runs
 from proprio_ros.recordings.signals import read_recording
 from proprio_ros.robot import Robot, load_robot
+from proprio_ros.sim.joint import JointSimulator
 from proprio_ros.sim.payload import PayloadFacts, PayloadShape
 
 FACTS = PayloadFacts(
@@ -315,3 +317,21 @@ def test_motion_tells_torques_only_relative_to_each_other(problem: Problem) -> N
     )
     one, other = (problem.simulate(each, problem.free[:1])[0] for each in (values, scaled))
     np.testing.assert_allclose(other, one, atol=2e-6)
+
+
+@pytest.mark.parametrize("base", [Problem, JointSimulator])
+def test_subclasses_override_public_methods_only(base: type) -> None:
+    """What a subclass may change is listed in the base class; of its private methods none is."""
+    private = {name for name in vars(base) if name.startswith("_") and not name.startswith("__")}
+    found = 0
+    root = Path(__file__).resolve().parents[2]
+    for path in (*(root / "proprio_ros").rglob("*.py"), *(root / "test/support").glob("*.py")):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if not isinstance(node, ast.ClassDef):
+                continue
+            if base.__name__ not in {ast.unparse(each) for each in node.bases}:
+                continue
+            found += 1
+            methods = {each.name for each in node.body if isinstance(each, ast.FunctionDef)}
+            assert not methods & private, f"{path.name}: {node.name} overrides {methods & private}"
+    assert found > 2
