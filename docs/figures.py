@@ -65,12 +65,19 @@ def line(words: Sequence[str]) -> str:
     return f"| {' | '.join(words)} |"
 
 
-def table_of(titles: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+def table_of(
+    titles: Sequence[str],
+    rows: Sequence[Sequence[str]],
+) -> str:
     """A table in Markdown."""
     return "\n".join([line(titles), "|" + "---|" * len(titles), *map(line, rows)])
 
 
-def markdown(table: Mapping[str, Any], key: str = "", value: str = "") -> str:
+def markdown(
+    table: Mapping[str, Any],
+    key: str = "",
+    value: str = "",
+) -> str:
     """A table that a benchmark kept, in Markdown.
 
     Args:
@@ -85,7 +92,10 @@ def markdown(table: Mapping[str, Any], key: str = "", value: str = "") -> str:
     if not rows:
         raise LookupError(f"no row with {key}={value}")
     columns = table["columns"]
-    return table_of(list(columns), [cells(columns, row) for row in rows])
+    return table_of(
+        list(columns),
+        [cells(columns, row) for row in rows],
+    )
 
 
 def source(name: str) -> str:
@@ -130,7 +140,10 @@ def _all(held: int, of: int) -> str:
     return f"all {of}" if held == of else f"{held} of {of}"
 
 
-def _span(values: Sequence[float], digits: int = 2) -> str:
+def _span(
+    values: Sequence[float],
+    digits: int = 2,
+) -> str:
     sizes = sorted(map(abs, values))
     return f"{sizes[0]:.{digits}f} to {sizes[-1]:.{digits}f}"
 
@@ -141,7 +154,10 @@ def _two(table: str, **where: Any) -> list[dict[str, Any]]:
     return [numbers("simulated", table, level=level, **where) for level in levels]
 
 
-def _sum(rows: Sequence[Mapping[str, Any]], key: str) -> int:
+def _sum(
+    rows: Sequence[Mapping[str, Any]],
+    key: str,
+) -> int:
     return sum(row[key] for row in rows)
 
 
@@ -364,7 +380,10 @@ def summary() -> str:
 # --- speed --------------------------------------------------------------------------------------------------------------
 
 
-def _speed_row(part: str, what: str) -> dict[str, Any]:
+def _speed_row(
+    part: str,
+    what: str,
+) -> dict[str, Any]:
     """The one row of a part of the comparison whose words begin so."""
     rows = kept("speed")["tables"][part]["rows"]
     (found,) = [row for row in rows if row["what"].startswith(what)]

@@ -64,7 +64,14 @@ class CPass:
         self.out: Arrays = (
             np.zeros((worlds, samples)), np.zeros((worlds, samples)), np.zeros((worlds, samples, dp.shape[2])),
         )  # fmt: skip
-        given = [run.sample_times_s, run.input_times_s, run.input_current_A, constants, p, dp]
+        given = [
+            run.sample_times_s,
+            run.input_times_s,
+            run.input_current_A,
+            constants,
+            p,
+            dp,
+        ]
         self._arrays = [np.ascontiguousarray(values, dtype=np.float64) for values in given]
         times, switches, currents, constants, p, dp = (
             self._pointer(values) for values in self._arrays

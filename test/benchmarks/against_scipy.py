@@ -44,7 +44,10 @@ def identify(
         mass, q0, v0 = coordinates.physical(internal)
         inertia, cosine, sine, constant = (empty + mass * per_kg)[:4]
 
-        def law(_t: float, y: np.ndarray) -> tuple[float, float]:
+        def law(
+            _t: float,
+            y: np.ndarray,
+        ) -> tuple[float, float]:
             q, v = y.tolist()
             return v, (torque - cosine * math.cos(q) - sine * math.sin(q) - constant) / inertia
 
@@ -78,4 +81,12 @@ def identify(
 def rows(case: Case) -> list[Row]:
     """The comparison."""
     what = "scipy solve_ivp (DOP853, rtol 1e-8) + least_squares, five starts"
-    return [compare(what, identify(case), GOAL, case, repeats=9)]
+    return [
+        compare(
+            what,
+            identify(case),
+            GOAL,
+            case,
+            repeats=9,
+        )
+    ]

@@ -97,7 +97,12 @@ class PerSubstep:
             dtype=FLOAT,
             device="cpu",
         )
-        self.mass = wp.zeros(worlds, dtype=FLOAT, device="cpu", requires_grad=True)
+        self.mass = wp.zeros(
+            worlds,
+            dtype=FLOAT,
+            device="cpu",
+            requires_grad=True,
+        )
         steps = frames * substeps
         self._step_s = FRAME_S / substeps
         self._q = [
@@ -109,7 +114,12 @@ class PerSubstep:
             for _ in range(steps + 1)
         ]
         self._q[0].fill_(float(p[0, INDEX["q0"]]))
-        self._loss = wp.zeros(1, dtype=FLOAT, device="cpu", requires_grad=True)
+        self._loss = wp.zeros(
+            1,
+            dtype=FLOAT,
+            device="cpu",
+            requires_grad=True,
+        )
 
     def __call__(
         self,
@@ -133,7 +143,10 @@ class PerSubstep:
                         self._q[n],
                         self._v[n],
                     ],
-                    outputs=[self._q[n + 1], self._v[n + 1]],
+                    outputs=[
+                        self._q[n + 1],
+                        self._v[n + 1],
+                    ],
                     device="cpu",
                 )
             wp.launch(
@@ -175,7 +188,10 @@ class OneLaunch:
         self._p, self._dp = case.parameters(np.zeros(len(STARTS_KG)))
         # in the mass alone; the parameters are linear in it
         self._dp = np.ascontiguousarray(self._dp[:, :, :1])
-        self._worlds = np.zeros(len(STARTS_KG), dtype=np.int32)
+        self._worlds = np.zeros(
+            len(STARTS_KG),
+            dtype=np.int32,
+        )
 
     def __call__(
         self,
@@ -240,7 +256,12 @@ def rows(case: Case) -> list[Row]:
     stops = {iterations: adam(same, iterations)[1] - case.mass for iterations in SCHEDULES}
     agreeing = [iterations for iterations, off in stops.items() if abs(off) <= AGREEMENT_KG]
     iterations = agreeing[0] if agreeing else PAPER_ITERATIONS
-    row = compare(f"  Adam {iterations}, five starts", lambda: adam(theirs, iterations), GOAL, case)
+    row = compare(
+        f"  Adam {iterations}, five starts",
+        lambda: adam(theirs, iterations),
+        GOAL,
+        case,
+    )
     stop = 1e3 * stops[PAPER_ITERATIONS]
     return [
         *found,

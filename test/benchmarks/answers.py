@@ -124,7 +124,13 @@ def answers(roots: list[Path]) -> Iterator[tuple[str, dict[str, Any]]]:
                         )
                         yield f"{here}/calibration file", {"text": text.replace(scratch, "")}
                 for folder in (*pick["fixed_"], *pick["empty_"]):
-                    words = ["replay", bag_of(folder), "--probe", "payload", *facts_of(folder)]
+                    words = [
+                        "replay",
+                        bag_of(folder),
+                        "--probe",
+                        "payload",
+                        *facts_of(folder),
+                    ]
                     yield f"{here}/{stem[folder]}", answer(words)
                     if calibrated:
                         yield f"{here}/{stem[folder]} calibrated", answer([*words, *calibrated])

@@ -50,7 +50,10 @@ class Sticky(Arm):
         self.dead_band_rad = COUNT_RAD * float(random.integers(0, 3))
 
     def stood(
-        self, load_kg: float, random: np.random.Generator, poses: int = 2
+        self,
+        load_kg: float,
+        random: np.random.Generator,
+        poses: int = 2,
     ) -> tuple[dict[str, np.ndarray], list[dict[str, np.ndarray]]]:
         """On the way to poses at random, and in them; the whole, and what was recorded of each pose."""
         goals_at = [0.0]
@@ -77,11 +80,19 @@ class Sticky(Arm):
 
 
 def put_in(
-    arm: Sticky, kg: float, random: np.random.Generator, output: Path
+    arm: Sticky,
+    kg: float,
+    random: np.random.Generator,
+    output: Path,
 ) -> Estimate | OnlineEstimate | str:
     """What the running estimate says of a hand that was empty, and holds something since 2 s, of an arm that stands."""
     request = request_of(Options(calibration=output, settings=SETTINGS))
-    feed = OnlineFeed(probe_at_work(), request.robot, request.facts, request.locked)
+    feed = OnlineFeed(
+        probe_at_work(),
+        request.robot,
+        request.facts,
+        request.locked,
+    )
     pose = MIDDLE + REACH * random.uniform(-1.0, 1.0, len(JOINTS))
     dry = arm.coulomb * random.normal(1.0, 0.05, len(JOINTS))
     told = None
@@ -92,7 +103,11 @@ def put_in(
         for t, goal, position in zip(
             rows["t"] + begins_s, rows["goal"], rows["position"], strict=True
         ):
-            feed.stall.hear_goals(float(t), JOINTS, goal.tolist())
+            feed.stall.hear_goals(
+                float(t),
+                JOINTS,
+                goal.tolist(),
+            )
             told = feed.add(float(t), JOINTS, position.tolist(), [], "") or told
     return told or "nothing is said"
 
@@ -112,9 +127,18 @@ def weighed(
         folder = Path(name)
         output = folder / "calibrated.yaml"
         empty = [write(folder / label, arm.moved(0.0, random, RATE_HZ, seconds)) for label in "ab"]
-        known = write(folder / "known", arm.moved(KNOWN_KG, random, RATE_HZ, seconds))
+        known = write(
+            folder / "known",
+            arm.moved(KNOWN_KG, random, RATE_HZ, seconds),
+        )
         learnt = calibrate_from_bags(
-            empty, {known: KNOWN_KG}, Options(robot="so101", settings=SETTINGS), output
+            empty,
+            {known: KNOWN_KG},
+            Options(
+                robot="so101",
+                settings=SETTINGS,
+            ),
+            output,
         )
         if learnt.verdict is not Verdict.ACCEPTED:
             raise ProprioError(f"{learnt.verdict.value}: {'; '.join(learnt.reasons)}")
@@ -160,7 +184,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser = parser_of(__doc__)
     parser.add_argument("--arms", type=int, default=12)
     parser.add_argument("--first", type=int, default=500, help="first seed")
-    parser.add_argument("--masses", type=float, nargs="*", default=ASKED_KG, help="[kg]")
+    parser.add_argument(
+        "--masses",
+        type=float,
+        nargs="*",
+        default=ASKED_KG,
+        help="[kg]",
+    )
     parser.add_argument(
         "--seconds", type=float, default=60.0, help="of each motion that calibrates"
     )

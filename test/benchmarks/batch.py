@@ -111,7 +111,11 @@ def make(
 
 
 def make_share(
-    folder: Path, name: str, first: int, masses: Sequence[float], seconds: float
+    folder: Path,
+    name: str,
+    first: int,
+    masses: Sequence[float],
+    seconds: float,
 ) -> list[tuple[str, float]]:
     """Some of the episodes: a tenth as bags, the rest as a data set; paths and masses."""
     arm = Arm(3)
@@ -121,7 +125,12 @@ def make_share(
     for n in range(bags):
         path = write_bag(folder / "data" / "bags" / f"{first + n:05d}", next(motions))
         truth.append((str(path.resolve()), masses[n]))
-    place = write_data_set(folder / "data" / name, motions, FOUR.constants, rate_hz=50.0)
+    place = write_data_set(
+        folder / "data" / name,
+        motions,
+        FOUR.constants,
+        rate_hz=50.0,
+    )
     return truth + [(f"{place.resolve()}#{n}", mass) for n, mass in enumerate(masses[bags:])]
 
 
@@ -132,12 +141,20 @@ def rows_in(out: Path) -> Any:
     return dataset.dataset(out / "rows", partitioning="hive").to_table().to_pandas()
 
 
-def compare(folder: Path, out: Path, replayed: int = 60) -> None:
+def compare(
+    folder: Path,
+    out: Path,
+    replayed: int = 60,
+) -> None:
     """All rows there, masses against the truth, and numbers against `replay` one by one."""
     rows = rows_in(out)
     with open(folder / "truth.csv") as stream:
         truth = {row["path"]: float(row["mass_kg"]) for row in csv.DictReader(stream)}
-    joined = np.where(rows["episode_index"].notna(), "#", "/")
+    joined = np.where(
+        rows["episode_index"].notna(),
+        "#",
+        "/",
+    )
     rows["path"] = rows["source"].astype(str) + joined + rows["episode"].astype(str)
     twice = int(rows.duplicated(["path", "segment"]).sum())
     print(
@@ -150,7 +167,10 @@ def compare(folder: Path, out: Path, replayed: int = 60) -> None:
     print(
         f"rms error {1e3 * np.sqrt(np.mean(error**2)):.2f} g, the 95 % interval holds the mass in {100 * held.mean():.1f} %"
     )
-    chosen = good.sample(min(replayed, len(good)), random_state=1)
+    chosen = good.sample(
+        min(replayed, len(good)),
+        random_state=1,
+    )
     other = 0
     for _, row in chosen.iterrows():
         value = replay(row["path"], asked(folder)).values[0]
@@ -375,7 +395,13 @@ def memory(
         )
         made.start()
         made.join()
-        job = batch(folder, [str(path)], out, "--jobs", "1")
+        job = batch(
+            folder,
+            [str(path)],
+            out,
+            "--jobs",
+            "1",
+        )
         _, status, used = os.wait4(job.pid, 0)  # of it and of all that it waited for
         job.returncode = os.waitstatus_to_exitcode(status)
         rows = rows_in(out)
@@ -390,7 +416,10 @@ def memory(
 
 def write_long(path: Path, samples: int) -> None:
     """One long bag with 100 g in the hand."""
-    write_bag(path, Arm(3).record(7, samples / 50.0, 0.1))
+    write_bag(
+        path,
+        Arm(3).record(7, samples / 50.0, 0.1),
+    )
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

@@ -192,7 +192,10 @@ def arm_answers(seed: int) -> list[Answer]:
     asked = {
         "": (load[0], arm.recorded("asked", load)),
         ", nothing": (0.0, arm.recorded("asked empty")),
-        ", elsewhere and faster": (load[0], arm.recorded("asked elsewhere", load, elsewhere=True)),
+        ", elsewhere and faster": (
+            load[0],
+            arm.recorded("asked elsewhere", load, elsewhere=True),
+        ),
         ", elsewhere, nothing": (0.0, arm.recorded("asked elsewhere empty", elsewhere=True)),
     }
     answers = []
@@ -243,7 +246,10 @@ def place_answers(seed: int) -> list[Answer]:
         return arm.record(name, ARM_SECONDS, held, differs=own)
 
     try:
-        learnt: Robot | ProprioError = _learnt(robot, [recorded("empty", 0.0, 0.0)])
+        learnt: Robot | ProprioError = _learnt(
+            robot,
+            [recorded("empty", 0.0, 0.0)],
+        )
     except ProprioError as error:
         learnt = error
     return [
@@ -258,7 +264,10 @@ def place_answers(seed: int) -> list[Answer]:
     ]
 
 
-def _of_motion(robot: Robot | ProprioError, motion: Motion) -> Callable[[], Estimate]:
+def _of_motion(
+    robot: Robot | ProprioError,
+    motion: Motion,
+) -> Callable[[], Estimate]:
     def ask() -> Estimate:
         if isinstance(robot, ProprioError):
             raise robot
@@ -338,7 +347,10 @@ def _of_bag(
     def ask() -> Estimate:
         if isinstance(learnt, str):
             raise ProprioError(learnt)
-        return replay(bag, Options(calibration=learnt, settings=settings or {}, **more))
+        return replay(
+            bag,
+            Options(calibration=learnt, settings=settings or {}, **more),
+        )
 
     return ask
 
@@ -414,11 +426,18 @@ def real_swings(
         "sts3250_release": pendulum(folder, "sts3250", 0.001, 0.15, drive),
     }
 
-    def learnt(which: str, known: Sequence[float]) -> Path | str:
+    def learnt(
+        which: str,
+        known: Sequence[float],
+    ) -> Path | str:
         robot = machines[which.replace("_again", "")]
         bags = {real / f"{which}_{kg:.3f}kg": kg for kg in known}
         output = folder / f"{which}_{'_'.join(map(str, known))}.yaml"
-        return _calibrated(bags, Options(robot=str(robot), settings=DISC), output)
+        return _calibrated(
+            bags,
+            Options(robot=str(robot), settings=DISC),
+            output,
+        )
 
     first = "sts3215_release"
     again = "sts3215_release_again"
@@ -453,7 +472,14 @@ def real_swings(
             bag = bent(real / f"{first}_{kg:.3f}kg", folder / f"horn_{kg}_{number}", zero_rad=zero)
             row = "real STS3215 let go, the horn put on anew"
             yield said(
-                row, kg, _of_bag(learnt(first, known), bag, DISC), f"{kg} kg, {zero:+.2f} rad"
+                row,
+                kg,
+                _of_bag(
+                    learnt(first, known),
+                    bag,
+                    DISC,
+                ),
+                f"{kg} kg, {zero:+.2f} rad",
             )
 
 
@@ -464,7 +490,10 @@ def real_ur10e(real: Path, folder: Path) -> Iterator[Answer]:
     empty = {n: real / f"ur10e_empty_{n}" for n in (12, 14, 15)}
     loaded = {n: real / f"ur10e_loaded_{n}" for n in (14, 15)}
 
-    def baseline(bag: Path, by: Path) -> Callable[[], Estimate]:
+    def baseline(
+        bag: Path,
+        by: Path,
+    ) -> Callable[[], Estimate]:
         return lambda: replay(bag, Options(robot=robot, baseline=[str(by)], **unit))  # type: ignore[arg-type]
 
     pieces = {
@@ -557,7 +586,10 @@ def real_answers(
 # --- the table --------------------------------------------------------------------------------------------------------
 
 
-def figures(row: str, answers: Sequence[Answer]) -> dict[str, Any]:
+def figures(
+    row: str,
+    answers: Sequence[Answer],
+) -> dict[str, Any]:
     """Numbers of a row."""
     given = [answer for answer in answers if answer.given]
     held = sum(answer.holds for answer in given)
@@ -623,7 +655,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
         "--real", nargs="*", default=list(MACHINES), choices=list(MACHINES), help="default: all"
     )
     parser.add_argument("--recordings", type=Path, default=REAL)
-    parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
+    parser.add_argument(
+        "--jobs",
+        type=int,
+        default=os.cpu_count() or 1,
+    )
     parser.add_argument("--answers", action="store_true", help="list every answer")
     options = parser.parse_args(arguments)
     results = Results(__file__, options.json, arguments)

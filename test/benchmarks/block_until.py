@@ -72,13 +72,21 @@ def squeezed(
     robot: Robot, hand: Hand, sequence: ExcitationSequence
 ) -> tuple[list[Run], Decision, list[float], float]:
     """The runs of a block that is squeezed until sure, how it ended, what deciding took, and how long it lasted [s]."""
-    chooser = probe_named("softness").chooser(robot, SoftnessJob(FACTS, SqueezeOptions()), sequence)
+    chooser = probe_named("softness").chooser(
+        robot,
+        SoftnessJob(FACTS, SqueezeOptions()),
+        sequence,
+    )
     began = hand.time_s
     decided = []
     runs = list(made(replace(sequence, until=None), hand)[1])
     while True:
         before = time.process_time()
-        decision = chooser.next(runs, hand.sample().position, hand.time_s - began)
+        decision = chooser.next(
+            runs,
+            hand.sample().position,
+            hand.time_s - began,
+        )
         if decision.run is None:
             return runs, decision, decided, hand.time_s - began
         decided.append(time.process_time() - before)
@@ -103,7 +111,11 @@ def one_robot(job: tuple[int, Until]) -> list[Case]:
         modulus = float(np.exp(rng.uniform(np.log(4e3), np.log(2e5))))
         ratio = float(rng.uniform(0.1, 0.4))
         block = SoftBlock(modulus, gap_m=GAP_M, poissons_ratio=ratio, damping=0.5)
-        runs, decision, decided, time_s = squeezed(robot, Hand(seed, block), sequence)
+        runs, decision, decided, time_s = squeezed(
+            robot,
+            Hand(seed, block),
+            sequence,
+        )
         estimate = find_softness(robot, runs, FACTS)
         half = half_of(estimate)
         told = estimate.value("youngs_modulus")

@@ -50,7 +50,13 @@ def connected(port: Path, fast: bool) -> ArmDriver:
     """
     robot = load_robot("open_manipulator_x")
     driver = ArmDriver(
-        robot, DynamixelBus(str(port), servos_of(robot), fast_sync_read=fast), DriverSettings()
+        robot,
+        DynamixelBus(
+            str(port),
+            servos_of(robot),
+            fast_sync_read=fast,
+        ),
+        DriverSettings(),
     )
     driver.cycle()
     if driver.state is not BusState.RUNNING or driver.bus.fast is not fast:
@@ -58,7 +64,11 @@ def connected(port: Path, fast: bool) -> ArmDriver:
     return driver
 
 
-def free_running(port: Path, fast: bool, cycles: int = 1000) -> Row:
+def free_running(
+    port: Path,
+    fast: bool,
+    cycles: int = 1000,
+) -> Row:
     """Cycles without a pause: read all, write all goals, and now and then a temperature."""
     driver = connected(port, fast)
     times = []
@@ -71,7 +81,11 @@ def free_running(port: Path, fast: bool, cycles: int = 1000) -> Row:
     statistics = driver.statistics
     return Row(
         f"driver cycle, {'fast sync read' if fast else 'sync read'} and sync write of five servos, 1 Mb/s",
-        Timing(float(np.median(times)), min(times), cycles),
+        Timing(
+            float(np.median(times)),
+            min(times),
+            cycles,
+        ),
         f"{rate:.0f} Hz (goal >= {GOAL_HZ:g} Hz)",
         rate >= GOAL_HZ,
         f"99.9 %: {1e3 * float(np.quantile(times, 0.999)):.1f} ms; {statistics.incomplete} incomplete, "

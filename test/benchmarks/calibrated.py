@@ -36,7 +36,10 @@ def empty_runs(robot: Robot) -> list[LoadedRun]:
     ]
 
 
-def scipy_cost(robot: Robot, known: list[LoadedRun]) -> tuple[float, float]:
+def scipy_cost(
+    robot: Robot,
+    known: list[LoadedRun],
+) -> tuple[float, float]:
     """Time [s] and end cost of scipy's trust region on our residuals, Jacobian by its forward differences, from one start."""
     runs = [prepare_run(robot, loaded.run, KnownLoad()) for loaded in known]
     problem = Problem(
@@ -54,13 +57,22 @@ def scipy_cost(robot: Robot, known: list[LoadedRun]) -> tuple[float, float]:
             problem.free[:1],
         )
         left = ((q[0] - problem.measured) * problem.weight)[seen]
-        return np.append(left, (x - coordinates.prior_mean) / coordinates.natural)
+        return np.append(
+            left,
+            (x - coordinates.prior_mean) / coordinates.natural,
+        )
 
     start = coordinates.prior_mean.copy()
     for f, row in enumerate(problem.free):
         if problem.unknowns[row].name.startswith("coulomb["):
             start[f] = 0.02
-    bounds = (np.minimum(coordinates.lower, start - 1e-9), coordinates.upper)
+    bounds = (
+        np.minimum(
+            coordinates.lower,
+            start - 1e-9,
+        ),
+        coordinates.upper,
+    )
     found = None
 
     def solve() -> None:
@@ -82,7 +94,11 @@ def rows(case: Case) -> list[Row]:
     """The comparison; the benchmark's own recording is not used."""
     robot = load_robot(DEFAULT_ROBOT)
     known = empty_runs(robot)
-    ours = measure(lambda: calibrate(robot, known), repeats=5, warm_up=1)
+    ours = measure(
+        lambda: calibrate(robot, known),
+        repeats=5,
+        warm_up=1,
+    )
     whole = measure(
         lambda: with_advice(robot, calibrate(robot, known)),
         repeats=3,
@@ -100,7 +116,11 @@ def rows(case: Case) -> list[Row]:
         warm_up=2,
     )
     prepared = [prepare_run(robot, loaded.run, loaded.load) for loaded in known]
-    once = measure(lambda: fit(robot, prepared), repeats=3, warm_up=0)
+    once = measure(
+        lambda: fit(robot, prepared),
+        repeats=3,
+        warm_up=0,
+    )
     seconds, cost = scipy_cost(robot, known)
     ratio = seconds / once.median
     return [

@@ -167,7 +167,11 @@ class Case:
 
     def solve(self) -> Solution:
         """Our identification: the problem is built and everything is warm."""
-        return levenberg_marquardt(self.problem, self.starts, self.problem.simulator.windows)
+        return levenberg_marquardt(
+            self.problem,
+            self.starts,
+            self.problem.simulator.windows,
+        )
 
     def masses(self, internal: np.ndarray) -> np.ndarray:
         """Masses [kg] of solver coordinates (S, 3)."""
@@ -228,7 +232,10 @@ def load() -> Case:
         raise SystemExit(
             f"the comparison wants mass, start position and start velocity unknown, not {', '.join(names)}"
         )
-    physical = np.tile(problem.coordinates.prior_mean, (len(STARTS_KG), 1))
+    physical = np.tile(
+        problem.coordinates.prior_mean,
+        (len(STARTS_KG), 1),
+    )
     physical[:, 0] = STARTS_KG
     starts = problem.coordinates.internal(physical)
     case = Case(robot, run, facts, prepared, problem, starts)

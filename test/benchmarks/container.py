@@ -228,7 +228,10 @@ class Boxed:
         masses: Sequence[float],
     ) -> tuple[np.ndarray, np.ndarray]:
         """Simulator parameters (S, P) and their derivative by the unknowns (S, P, F), the rest at its prior."""
-        values = np.tile(self.problem.base, (len(masses), 1))
+        values = np.tile(
+            self.problem.base,
+            (len(masses), 1),
+        )
         values[:, self.problem.index["sphere_mass"]] = masses
         p, dp = self.problem.parameters(values, self.problem.free)
         return np.ascontiguousarray(p[:, 0]), np.ascontiguousarray(dp[:, 0])
@@ -237,7 +240,11 @@ class Boxed:
 def facts_of_the_box() -> ContainerFacts:
     """What is stated to both: all but the sphere's mass, and where exactly it lies."""
     return ContainerFacts(
-        Enclosure("box", np.array([0.06, 0.04, 0.04]), 0.01),
+        Enclosure(
+            "box",
+            np.array([0.06, 0.04, 0.04]),
+            0.01,
+        ),
         centre=np.array([0.035, 0.0, 0.0]),
         mass=SHELL_KG,
         mass_std=0.0,
@@ -299,7 +306,10 @@ def _pose(
         raise SystemExit(
             "the comparison wants a start whose place is known but for a little: five starts, not more"
         )
-    values = np.tile(problem.base, (len(STARTS_KG), 1))
+    values = np.tile(
+        problem.base,
+        (len(STARTS_KG), 1),
+    )
     values[:, problem.index["sphere_mass"]] = STARTS_KG
     starts = problem.coordinates.internal(values[:, list(problem.free)])
     return Boxed(robot, facts, problem, starts)
@@ -324,7 +334,11 @@ def pose(
     blank = _pose(
         robot,
         facts,
-        _recorded(times_s, np.full(len(times_s), START_RAD), before),
+        _recorded(
+            times_s,
+            np.full(len(times_s), START_RAD),
+            before,
+        ),
     )
     if record is None:
         return blank
@@ -351,8 +365,20 @@ def by_mujoco(box: Boxed, times_s: np.ndarray) -> np.ndarray:
     """What the joint does in MuJoCo at a fine step, the sphere a little off where it is expected [rad], shape (T,)."""
     p, _ = box.parameters([SPHERE_KG])
     start = p[0, 15:18] + np.array([1e-4, 2e-3, 1e-4])
-    mujoco_box = MujocoBox(box.run, p[0], box.facts, TRUTH_STEP_S)
-    return mujoco_box.positions(SPHERE_KG, start, START_RAD + 4e-4, 0.0, CURRENT_A, times_s)
+    mujoco_box = MujocoBox(
+        box.run,
+        p[0],
+        box.facts,
+        TRUTH_STEP_S,
+    )
+    return mujoco_box.positions(
+        SPHERE_KG,
+        start,
+        START_RAD + 4e-4,
+        0.0,
+        CURRENT_A,
+        times_s,
+    )
 
 
 def mujoco_fit(
@@ -366,7 +392,13 @@ def mujoco_fit(
     problem = box.problem
     prepared = box.problem.runs[0]
     empty, _ = box.parameters([0.0])
-    mujoco_box = MujocoBox(box.run, empty[0], box.facts, step_s, integrator)
+    mujoco_box = MujocoBox(
+        box.run,
+        empty[0],
+        box.facts,
+        step_s,
+        integrator,
+    )
     unknowns = [problem.unknowns[row] for row in problem.free]
     mean, std = np.array([u.value for u in unknowns]), np.array([u.std for u in unknowns])
     mass = box.names.index("sphere_mass")
@@ -392,7 +424,10 @@ def mujoco_fit(
             CURRENT_A,
             prepared.times_s,
         )
-        return np.append((shown - prepared.position) / prepared.sigma, off)
+        return np.append(
+            (shown - prepared.position) / prepared.sigma,
+            off,
+        )
 
     def solve() -> tuple[np.ndarray, np.ndarray, int]:
         nonlocal rollouts
@@ -415,7 +450,12 @@ class SpherePass:
         folder: where the library is built.
     """
 
-    def __init__(self, simulator: SphereSimulator, p: np.ndarray, folder: str) -> None:
+    def __init__(
+        self,
+        simulator: SphereSimulator,
+        p: np.ndarray,
+        folder: str,
+    ) -> None:
         library = Path(folder) / "sphere_pass.so"
         if not library.exists():
             subprocess.run(
@@ -580,7 +620,11 @@ def bias_of_steps(
     simulator = stepped(integrator, step_s)
     found = p.copy()
     for _ in range(15):
-        q, _, dq = simulator.jacobian(world, found[None], by_mass)
+        q, _, dq = simulator.jacobian(
+            world,
+            found[None],
+            by_mass,
+        )
         slope = dq[0, :, 0]
         found[row] += np.clip(
             slope @ (true - q[0]) / (slope @ slope), -0.2 * SPHERE_KG, 0.2 * SPHERE_KG
@@ -698,7 +742,11 @@ def _fit_rows(
     return rows
 
 
-def _ending(masses: np.ndarray, best: float, effort: str) -> str:
+def _ending(
+    masses: np.ndarray,
+    best: float,
+    effort: str,
+) -> str:
     ends = ", ".join(f"{1e3 * mass:.2f}" for mass in masses)
     return f"found {1e3 * best:.2f} g ({100.0 * (best / SPHERE_KG - 1.0):+.1f} %), starts {ends}; {effort}"
 
@@ -756,7 +804,12 @@ def _bias_rows(box: Boxed) -> list[Row]:
             worlds = np.zeros(len(STARTS_KG), dtype=np.int32)
             p = np.tile(p, (len(STARTS_KG), 1))
             _, forward = record_forward(simulator, worlds, p)
-            timing = measure(forward.launch, repeats=15, calls=10, warm_up=3)
+            timing = measure(
+                forward.launch,
+                repeats=15,
+                calls=10,
+                warm_up=3,
+            )
             biases = ", ".join(f"{name} {100.0 * off:+.4f} %" for name, off in offs.items())
             rows.append(
                 Row(
@@ -771,7 +824,11 @@ def _bias_rows(box: Boxed) -> list[Row]:
 def rows(case: Case) -> list[Row]:
     """The comparisons; the benchmark's own recording is not used."""
     box = pose()
-    found = [*_forward_rows(box), *_tangent_rows(box), *_bias_rows(box)]
+    found = [
+        *_forward_rows(box),
+        *_tangent_rows(box),
+        *_bias_rows(box),
+    ]
     if find_spec("mujoco") is None:
         found.append(
             Row("MuJoCo, sphere in a box, five starts", note="skipped: needs pip install mujoco")
@@ -780,6 +837,10 @@ def rows(case: Case) -> list[Row]:
         full = _fit_rows("mass, place, q0 and v0", mass_alone=False)
         found += [
             *full,
-            *_fit_rows("mass alone", mass_alone=True, fuller=full[0].timing),
+            *_fit_rows(
+                "mass alone",
+                mass_alone=True,
+                fuller=full[0].timing,
+            ),
         ]
     return [*found, *_whole_rows()]

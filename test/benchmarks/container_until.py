@@ -79,7 +79,10 @@ class Case:
     ended_s: float
 
 
-def answer_of(estimate: Estimate, mass: float) -> tuple[float, float]:
+def answer_of(
+    estimate: Estimate,
+    mass: float,
+) -> tuple[float, float]:
     """Error and half interval of an accepted answer [kg]."""
     value = estimate.value("sphere_mass").value
     half = half_of(estimate)
@@ -108,7 +111,13 @@ def one_case(
 
     def find(runs: Sequence[Run]) -> Estimate:
         if len(runs) not in found:
-            found[len(runs)] = find_sphere(robot, runs, FACTS, options, baseline)
+            found[len(runs)] = find_sphere(
+                robot,
+                runs,
+                FACTS,
+                options,
+                baseline,
+            )
         return found[len(runs)]
 
     bench = Bench(
@@ -207,7 +216,11 @@ COLUMNS = {
 }
 
 
-def row(results: Results, name: str, cases: Sequence[Case]) -> None:
+def row(
+    results: Results,
+    name: str,
+    cases: Sequence[Case],
+) -> None:
     """One row of the table; none without answers."""
     answered = [case for case in cases if np.isfinite(case.error)]
     if not answered:
@@ -237,7 +250,11 @@ def table(
     results.table("container_until", COLUMNS)
     for reference in references:
         mine = [case for case in cases if case.reference == reference]
-        row(results, f"reference {reference}", [case for case in mine if case.mass > 0.0])
+        row(
+            results,
+            f"reference {reference}",
+            [case for case in mine if case.mass > 0.0],
+        )
         row(
             results,
             f"reference {reference}, empty box",
@@ -250,7 +267,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser = parser_of(__doc__)
     parser.add_argument("--robots", type=int, default=24)
     parser.add_argument("--first", type=int, default=9000, help="first seed")
-    parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
+    parser.add_argument(
+        "--jobs",
+        type=int,
+        default=os.cpu_count() or 1,
+    )
     parser.add_argument(
         "--reference", nargs="+", default=["none", "shipped"], choices=["none", "shipped"]
     )

@@ -101,12 +101,19 @@ def answers(
         yield from (map if jobs == 1 else pool.map)(answer, folders, truths)
 
 
-def answer(folder: Path, truth: dict[str, Any]) -> Answer:
+def answer(
+    folder: Path,
+    truth: dict[str, Any],
+) -> Answer:
     container = truth["container"]
     settings = {f"contents.{key}": container[key] for key in ("radius", "height", "bottom")}
     with tempfile.TemporaryDirectory() as place:
         file = Path(place) / "arm.yaml"
-        learnt = calibrate_from_bags(sorted(folder.glob("empty_*")), {}, output=file)
+        learnt = calibrate_from_bags(
+            sorted(folder.glob("empty_*")),
+            {},
+            output=file,
+        )
         if not file.exists():
             return Answer(truth, {}, learnt.verdict.value, "not calibrated")
         options = Options(
@@ -244,7 +251,13 @@ def particles(results: Results, most: int | None) -> None:
     ]
     for number, fill, viscosity in picked[:most]:
         container = CONTAINERS[number]
-        hz, damping = sloshing(container.cylinder, fill, viscosity, container.layers, EXCHANGE_S)
+        hz, damping = sloshing(
+            container.cylinder,
+            fill,
+            viscosity,
+            container.layers,
+            EXCHANGE_S,
+        )
         finer = sloshing(
             container.cylinder, fill, viscosity, round(FINER * container.layers), EXCHANGE_S
         )

@@ -120,7 +120,12 @@ def like_ur() -> Arm:
     return Arm("UR5e's links and gears", replace(robot, drive_trains=trains), pushes, 125.0)
 
 
-def facts_of(arm: Arm, push: Push, radius: float, fill: float) -> ContentsFacts:
+def facts_of(
+    arm: Arm,
+    push: Push,
+    radius: float,
+    fill: float,
+) -> ContentsFacts:
     """A container that stands upright in the hand at the start of a push."""
     world_R_hand = arm.robot.model.frame_transform(arm.robot.payload_frame, push.start)[:3, :3]
     turned = world_R_hand.T
@@ -128,7 +133,12 @@ def facts_of(arm: Arm, push: Push, radius: float, fill: float) -> ContentsFacts:
     return ContentsFacts(radius, max(1.5 * fill, 0.08), bottom, turned)
 
 
-def bare(arm: Arm, push: Push, hz: float, current_A: float) -> Run:
+def bare(
+    arm: Arm,
+    push: Push,
+    hz: float,
+    current_A: float,
+) -> Run:
     """A run whose positions are still to come."""
     half = 0.5 * shake_period_s(hz) if push.shake_A else push.duration_s
     switches = np.arange(0.0, push.duration_s - 1e-9, half)
@@ -159,7 +169,11 @@ def truth_of(
 
 
 def driven(
-    arm: Arm, push: Push, facts: ContentsFacts, kg: float, fill: float
+    arm: Arm,
+    push: Push,
+    facts: ContentsFacts,
+    kg: float,
+    fill: float,
 ) -> PreparedRun | None:
     """The push with the current that moves the contents as far as it says; None where 10 A do not."""
     hz = float(np.sqrt(Slosh.of(facts.radius, np.array(fill)).stiffness)) / (2.0 * np.pi)
@@ -174,7 +188,13 @@ def driven(
             None,
             facts.shell,
         )
-        problem = ContentsProblem(arm.robot, [run], facts, [True], "liquid")
+        problem = ContentsProblem(
+            arm.robot,
+            [run],
+            facts,
+            [True],
+            "liquid",
+        )
         shown = problem.simulate(truth_of(problem, kg, fill, facts)[None], problem.free[:1])[0][
             0, 0
         ]
@@ -239,9 +259,19 @@ def bound(
     }  # fmt: skip
 
 
-def short_of(problem: ContentsProblem, values: np.ndarray, model: str) -> float:
+def short_of(
+    problem: ContentsProblem,
+    values: np.ndarray,
+    model: str,
+) -> float:
     """By how many nats a model's best fit falls short of what a problem has at its values, shape (N,), without noise."""
-    other = ContentsProblem(problem.robot, problem.runs, problem.container, problem.filled, model)
+    other = ContentsProblem(
+        problem.robot,
+        problem.runs,
+        problem.container,
+        problem.filled,
+        model,
+    )
     shown = problem.simulate(values[None], problem.free[:1])[0][0]
     other.measured = np.where(other.weight > 0.0, shown, 0.0)
     start = other.base.copy()

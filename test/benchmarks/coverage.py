@@ -140,7 +140,11 @@ def facts_of(load: Load) -> PayloadFacts:
     )
 
 
-def true_values(hidden: HiddenRobot, problem: Problem, mass: float) -> np.ndarray:
+def true_values(
+    hidden: HiddenRobot,
+    problem: Problem,
+    mass: float,
+) -> np.ndarray:
     """The simulator's numbers for every unknown; what differs from run to run stays at its mean."""
     values = problem.base.copy()
     for row, unknown in enumerate(problem.unknowns):
@@ -193,7 +197,10 @@ def cramer_rao(
         load_unknowns(robot, runs, facts, Role.FREE, load.mass),
     )
     values = true_values(hidden, problem, load.mass)
-    _, v, dq = problem.simulate(values[None], problem.free)
+    _, v, dq = problem.simulate(
+        values[None],
+        problem.free,
+    )
     reading = np.hypot(
         runs[0].drive.encoder_resolution / np.sqrt(12.0),
         hidden.encoder_noise,
@@ -320,7 +327,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
         "--per-effect", type=int, default=60, help="with each effect alone; 0 leaves them out"
     )
     parser.add_argument("--first", type=int, default=0, help="first seed")
-    parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
+    parser.add_argument(
+        "--jobs",
+        type=int,
+        default=os.cpu_count() or 1,
+    )
     parser.add_argument(
         "--gentle", action="store_true", help="robots that differ less than the robot file allows"
     )
@@ -350,11 +361,23 @@ def main(arguments: Sequence[str] | None = None) -> None:
                 if reference
                 else "without a reference"
             )
-            row(results, words, [a for a in answers if a.reference == reference])
+            row(
+                results,
+                words,
+                [a for a in answers if a.reference == reference],
+            )
         for mass in MASSES_KG:
-            row(results, f"{1e3 * mass:.0f} g", [a for a in answers if a.mass == mass])
+            row(
+                results,
+                f"{1e3 * mass:.0f} g",
+                [a for a in answers if a.mass == mass],
+            )
         for joint in sorted({a.joint for a in answers}):
-            row(results, joint, [a for a in answers if a.joint == joint])
+            row(
+                results,
+                joint,
+                [a for a in answers if a.joint == joint],
+            )
     for effect in EFFECTS if options.per_effect else ():
         if effect not in ALWAYS:
             survey(

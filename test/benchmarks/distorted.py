@@ -172,11 +172,18 @@ def answer(question: Drawn, first: int, made: Path) -> Answered:
     )
 
 
-def told_as_they_are(among: Sequence[Base], made: Path) -> list[Base]:
+def told_as_they_are(
+    among: Sequence[Base],
+    made: Path,
+) -> list[Base]:
     """Those whose answer is given where nothing is wrong."""
     there = []
     for base in among:
-        outcome = asked(base.command, base.files(made), base.estimate)
+        outcome = asked(
+            base.command,
+            base.files(made),
+            base.estimate,
+        )
         if outcome.verdict == ACCEPTED:
             there.append(base)
         else:
@@ -184,7 +191,11 @@ def told_as_they_are(among: Sequence[Base], made: Path) -> list[Base]:
     return there
 
 
-def row(results: Results, name: str, answers: Sequence[Answered]) -> None:
+def row(
+    results: Results,
+    name: str,
+    answers: Sequence[Answered],
+) -> None:
     """One row of the table."""
     accepted = [each for each in answers if each.accepted]
     refused = [each for each in answers if each.refused]
@@ -227,7 +238,11 @@ def tables(results: Results, answers: Sequence[Answered]) -> None:
         },
     )
     for kind in [kind for kind in KINDS if any(each.kind == kind for each in answers)]:
-        row(results, kind, [each for each in answers if each.kind == kind])
+        row(
+            results,
+            kind,
+            [each for each in answers if each.kind == kind],
+        )
     row(results, "all", answers)
     results.table(
         "bends",
@@ -321,7 +336,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--first", type=int, default=1, help="seed of questions and arms")
     parser.add_argument("--only", type=int, nargs="+", help="numbers of questions")
     parser.add_argument("--jobs", type=int, default=1, help="processes")
-    parser.add_argument("--kinds", nargs="+", choices=KINDS, default=list(KINDS))
+    parser.add_argument(
+        "--kinds",
+        nargs="+",
+        choices=KINDS,
+        default=list(KINDS),
+    )
     parser.add_argument("--bends", nargs="+", help="default: all of the kinds")
     parser.add_argument("--bases", nargs="+", help="names, or how they begin; default: all")
     parser.add_argument("--made", type=Path, help="folder that keeps simulated recordings")

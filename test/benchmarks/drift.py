@@ -108,7 +108,14 @@ def weighings(
         for way, known in robots.items():
             value = weigh(known, runs, facts).value("payload_mass")
             if value.value is None or value.ci95 is None:
-                cases.append(Case(way, float("nan"), float("nan"), False))
+                cases.append(
+                    Case(
+                        way,
+                        float("nan"),
+                        float("nan"),
+                        False,
+                    )
+                )
                 continue
             low, high = value.ci95
             cases.append(
@@ -169,7 +176,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser = parser_of(__doc__)
     parser.add_argument("--robots", type=int, default=24)
     parser.add_argument("--first", type=int, default=3000, help="first seed")
-    parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
+    parser.add_argument(
+        "--jobs",
+        type=int,
+        default=os.cpu_count() or 1,
+    )
     parser.add_argument("--hours", type=float, default=24.0)
     parser.add_argument(
         "--warmer",
@@ -184,7 +195,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
         help="the true drift is so many times what the robot file states",
     )
     parser.add_argument("--reference", choices=["none", "shipped"], default="shipped")
-    parser.add_argument("--masses", type=float, nargs="+", default=MASSES_KG, help="[kg]")
+    parser.add_argument(
+        "--masses",
+        type=float,
+        nargs="+",
+        default=MASSES_KG,
+        help="[kg]",
+    )
     o = parser.parse_args(arguments)
     results = Results(__file__, o.json, arguments)
     jobs = [

@@ -70,7 +70,11 @@ def one_robot(job: tuple[int, Until, Sequence[float]]) -> list[Case]:
     cases = []
     for mass in masses:
         load = ball(mass, DIAMETER_M)
-        sequence = replace(load_sequence("payload", robot), runs=(), until=until)
+        sequence = replace(
+            load_sequence("payload", robot),
+            runs=(),
+            until=until,
+        )
         bench = Bench(
             hidden,
             sequence,
@@ -126,8 +130,18 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser = parser_of(__doc__)
     parser.add_argument("--robots", type=int, default=8)
     parser.add_argument("--first", type=int, default=4000, help="first seed")
-    parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
-    parser.add_argument("--masses", type=float, nargs="+", default=MASSES_KG, help="[kg]")
+    parser.add_argument(
+        "--jobs",
+        type=int,
+        default=os.cpu_count() or 1,
+    )
+    parser.add_argument(
+        "--masses",
+        type=float,
+        nargs="+",
+        default=MASSES_KG,
+        help="[kg]",
+    )
     parser.add_argument("--half", type=float, default=0.5e-3, help="target [kg]")
     parser.add_argument("--at-most", type=float, default=60.0, help="[s]")
     options = parser.parse_args(arguments)

@@ -138,7 +138,13 @@ def poured(case: Case, tilt: float = 0.0) -> Contents | None:
         return None
     if case.kind == "granular":
         diameter = GRAINS_M[case.container][0]
-        return Grains(container.cylinder, case.fill, diameter, GRAIN_KG_M3[case.container], 0.4)
+        return Grains(
+            container.cylinder,
+            case.fill,
+            diameter,
+            GRAIN_KG_M3[case.container],
+            0.4,
+        )
     return Liquid(
         container.cylinder,
         case.fill,
@@ -163,7 +169,10 @@ class Filled(Load):
     pour: Callable[[float], Contents | None] | None = None
     frozen: tuple[float, np.ndarray, np.ndarray] | None = None
     exchange_s: float = EXCHANGE_S
-    state: dict[str, Any] = field(default_factory=dict, compare=False)
+    state: dict[str, Any] = field(
+        default_factory=dict,
+        compare=False,
+    )
 
     def settle(self, model: Any, data: Any) -> np.ndarray:
         """The contents lie level, whatever the zeros of the joints are; those of the run before are gone."""
@@ -193,7 +202,14 @@ class Filled(Load):
         for compute in (mujoco.mj_kinematics, mujoco.mj_comPos, mujoco.mj_comVel):
             compute(model, data)
         moving = np.zeros(6)
-        mujoco.mj_objectVelocity(model, data, mujoco.mjtObj.mjOBJ_XBODY, at, moving, 0)
+        mujoco.mj_objectVelocity(
+            model,
+            data,
+            mujoco.mjtObj.mjOBJ_XBODY,
+            at,
+            moving,
+            0,
+        )
         turn = data.xmat[at].reshape(3, 3).copy()
         omega = moving[:3].copy()
         velocity = moving[3:] + np.cross(moving[:3], turn @ self.bottom)
@@ -237,7 +253,11 @@ class Filled(Load):
         return result
 
 
-def filled(case: Case, moving: bool = True, exchange_s: float = EXCHANGE_S) -> Filled:
+def filled(
+    case: Case,
+    moving: bool = True,
+    exchange_s: float = EXCHANGE_S,
+) -> Filled:
     """The container with its contents; ``moving`` False freezes them."""
     container = CONTAINERS[case.container]
     mass, centre, about = container.moments()
@@ -257,7 +277,15 @@ def filled(case: Case, moving: bool = True, exchange_s: float = EXCHANGE_S) -> F
         functools.partial(poured, case) if moving and case.kind in ("liquid", "granular") else None
     )
     place = (float(offset[0]), float(offset[1]), float(offset[2]))
-    return Filled(mass, place, six, container.bottom, pour, frozen, exchange_s)
+    return Filled(
+        mass,
+        place,
+        six,
+        container.bottom,
+        pour,
+        frozen,
+        exchange_s,
+    )
 
 
 @dataclass(frozen=True)
@@ -314,7 +342,12 @@ def probe_of(
     for _ in range(9):
         middle = 0.5 * (low + high)
         low, high = (low, middle) if travel(middle) > push.travel else (middle, high)
-    return Probe(push.joint, start, 0.5 * (low + high), push.duration_s)
+    return Probe(
+        push.joint,
+        start,
+        0.5 * (low + high),
+        push.duration_s,
+    )
 
 
 def recorded(
@@ -389,7 +422,10 @@ def _truth(
     contents = poured(case)
     if contents is None:
         return {"mass": 0.0, "fill": 0.0}
-    found: dict[str, Any] = {"mass": contents.kg, "fill": case.fill}
+    found: dict[str, Any] = {
+        "mass": contents.kg,
+        "fill": case.fill,
+    }
     if isinstance(contents, Grains):
         found |= {
             "fill": contents.fill,

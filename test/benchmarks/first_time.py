@@ -93,7 +93,12 @@ def main() -> int:
         cache = folder / "kernels"
         for words in ("the first `proprio demo`, nothing compiled", "the next one"):
             spent = timed(demo, PYTHONPATH="", WARP_CACHE_PATH=str(cache))
-            results.row("first", what=words, **spent, disk_mb=megabytes(cache))
+            results.row(
+                "first",
+                what=words,
+                **spent,
+                disk_mb=megabytes(cache),
+            )
     goals = f"{INSTALL_GOAL_S:g} s for an installation, {DEMO_GOAL_S:g} s for the first demo"
     print(f"\ngoals: {goals}, on two cores that nobody else uses")
     results.keep()

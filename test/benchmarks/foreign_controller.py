@@ -28,7 +28,10 @@ def asked(
 ) -> dict[str, Any]:
     """How often one arm was asked to calibrate itself and to weigh, and the answers; ``once`` asks for one with a mass [kg]."""
 
-    def often(what: str, kg: float) -> tuple[bool, int]:
+    def often(
+        what: str,
+        kg: float,
+    ) -> tuple[bool, int]:
         count = 0
         known = False
         while not known and count < ASKED:
@@ -44,7 +47,11 @@ def asked(
     }
     for kg in masses_kg if learnt else ():
         known, count = often("payload", kg)
-        one: dict[str, Any] = {"kg": kg, "asked": count, "known": known}
+        one: dict[str, Any] = {
+            "kg": kg,
+            "asked": count,
+            "known": known,
+        }
         if known:
             final = newest()
             low, high = json.loads(final["payload_mass.ci95"])
@@ -65,12 +72,19 @@ def about(
     busy: Any,
 ) -> dict[str, Any]:
     """Which arm, and how its computer is busy (`support.foreign_arm.Busy`)."""
-    delays_ms = {"delay_ms": 1e3 * busy.delay_s, "jitter_ms": 1e3 * busy.jitter_s}
+    delays_ms = {
+        "delay_ms": 1e3 * busy.delay_s,
+        "jitter_ms": 1e3 * busy.jitter_s,
+    }
     return {"seed": seed, "goals": goals, "rate_hz": rate_hz, **delays_ms}
 
 
 def weighed(
-    seed: int, folder: Path, goals: bool, rate_hz: float, masses_kg: Sequence[float]
+    seed: int,
+    folder: Path,
+    goals: bool,
+    rate_hz: float,
+    masses_kg: Sequence[float],
 ) -> dict[str, Any]:
     """What came of one arm: how often it was asked to calibrate itself, and of each mass the answer and how often it was asked."""
     from support.foreign_live import foreign
@@ -102,7 +116,10 @@ def again(asked: int) -> str:
     return f", asked {asked} times" if asked > 1 else ""
 
 
-def cell(masses: Sequence[dict[str, Any]], kg: float) -> str:
+def cell(
+    masses: Sequence[dict[str, Any]],
+    kg: float,
+) -> str:
     """The answer and its interval in g."""
     of = [one for one in masses if one["kg"] == kg]
     if not of:
@@ -139,7 +156,10 @@ def tell(
     }
     results.table(
         "arms",
-        {**columns, **{f"{1e3 * kg:g} g": f"{{m{number}}}" for number, kg in enumerate(masses_kg)}},
+        {
+            **columns,
+            **{f"{1e3 * kg:g} g": f"{{m{number}}}" for number, kg in enumerate(masses_kg)},
+        },
     )
     for each in sorted(found, key=lambda each: each["delay_ms"]):
         row = {name: each[name] for name in ("seed", "delay_ms")} | {

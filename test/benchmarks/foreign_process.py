@@ -70,7 +70,12 @@ def main() -> None:
             states.publish(message)
 
     node.create_subscription(Float64MultiArray, topic, take, 1)
-    node.create_subscription(Float64, "/hand", lambda message: arm.hold(message.data), 1)
+    node.create_subscription(
+        Float64,
+        "/hand",
+        lambda message: arm.hold(message.data),
+        1,
+    )
     run_in_real_time()  # as ros2_control's update loop
     threading.Thread(target=say, daemon=True).start()
     rclpy.spin(node)

@@ -71,7 +71,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
         except RecordingError as error:
             print(error, flush=True)
             continue
-        learnt = calibrate(virtual.ROBOT, [LoadedRun(run) for run in runs])
+        learnt = calibrate(
+            virtual.ROBOT,
+            [LoadedRun(run) for run in runs],
+        )
         print(f"falls {np.ptp(runs[0].position):.2f} rad, {learnt.verdict.value}", end="")
         for row in learnt.unknowns:
             if row.scope == WRIST and row.kind in KINDS:

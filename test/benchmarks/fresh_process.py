@@ -47,7 +47,10 @@ def python(*arguments: str) -> str:
     return done.stdout
 
 
-def rows(case: Case, repeats: int = 9) -> list[Row]:
+def rows(
+    case: Case,
+    repeats: int = 9,
+) -> list[Row]:
     """Wall time, and what it is made of."""
     repeats = 1 if cases.once else repeats
     answer = json.loads(python(*COMMAND))

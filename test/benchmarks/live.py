@@ -87,7 +87,12 @@ def weighed(
     """What came of one arm, as `foreign_controller.asked` has it."""
     from support.simulated_live import running
 
-    facts = {"settings": STATED, "live_period": 0.0, "report": False, **way.identifier}
+    facts = {
+        "settings": STATED,
+        "live_period": 0.0,
+        "report": False,
+        **way.identifier,
+    }
     parameters = {
         "virtual": {"seed": seed, **way.virtual},
         "excitation": dict(way.excitation),
@@ -102,7 +107,11 @@ def weighed(
             print(f"  {what} {1e3 * kg:g} g: {answer.message}", flush=True)
             return bool(answer.success) and client.wait_for(client.final)
 
-        return asked(once, lambda: client.estimates[-1], way.masses_kg)
+        return asked(
+            once,
+            lambda: client.estimates[-1],
+            way.masses_kg,
+        )
 
 
 def row(

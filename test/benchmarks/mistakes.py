@@ -165,7 +165,10 @@ def off_centre(question: Question, folder: Path) -> Question:
     centre = np.array(question.settings.get("payload.com", [0.0, 0.0, 0.0])) + np.array(
         [0.1, 0.0, 0.0]
     )
-    return replace(question, settings={**question.settings, "payload.com": centre.tolist()})
+    return replace(
+        question,
+        settings={**question.settings, "payload.com": centre.tolist()},
+    )
 
 
 def reference_times(factor: float) -> Callable[[Question, Path], Question | None]:
@@ -185,7 +188,12 @@ def swapped(question: Question, folder: Path) -> Question | None:
     empty = (question.loaded, *question.empty[1:])
     # one loaded bag among several empty ones contradicts them and is left out: then the hand is as empty as it is
     truth_kg = -question.truth_kg if len(empty) == 1 else 0.0
-    return replace(question, loaded=question.empty[0], empty=empty, truth_kg=truth_kg)
+    return replace(
+        question,
+        loaded=question.empty[0],
+        empty=empty,
+        truth_kg=truth_kg,
+    )
 
 
 MISTAKES = (
@@ -210,8 +218,18 @@ MISTAKES = (
     Mistake(
         "payload.com off by 0.1 m", r"payload\.com|centre", asked=off_centre, everywhere=(False,)
     ),
-    Mistake("reference stated x 1.2", "reference", asked=reference_times(1.2), everywhere=(False,)),
-    Mistake("reference stated x 2", "reference", asked=reference_times(2.0), everywhere=(False,)),
+    Mistake(
+        "reference stated x 1.2",
+        "reference",
+        asked=reference_times(1.2),
+        everywhere=(False,),
+    ),
+    Mistake(
+        "reference stated x 2",
+        "reference",
+        asked=reference_times(2.0),
+        everywhere=(False,),
+    ),
     Mistake(
         "reference stated x 1000", "reference", asked=reference_times(1000.0), everywhere=(False,)
     ),
@@ -263,7 +281,13 @@ def answer(
     """Verdict, mass, interval and all that was said."""
     common = [*question.words, *setting(question.settings)]
     robot = ["--robot", question.robot] if question.robot else []
-    words = ["replay", str(question.loaded), "--probe", "payload", *common]
+    words = [
+        "replay",
+        str(question.loaded),
+        "--probe",
+        "payload",
+        *common,
+    ]
     text = ""
     if question.way == "baseline":
         words += [*robot, "--baseline", *map(str, question.empty)]
@@ -272,7 +296,12 @@ def answer(
     else:
         references = [f"{bag}={kg}" for bag, kg in question.references]
         own = common if question.calibrated_with is None else list(question.calibrated_with)
-        calibrate = ["calibrate", *map(str, question.empty), *robot, *own]
+        calibrate = [
+            "calibrate",
+            *map(str, question.empty),
+            *robot,
+            *own,
+        ]
         code, text, file = calibrated(
             *calibrate, *(["--reference", *references] if references else [])
         )
@@ -316,7 +345,11 @@ def made(
 
     def changed(bag: Path) -> Path:
         if bag not in kept:
-            kept[bag] = bent(folder / f"bag_{len(kept)}", mistake.bend(question), bag)  # type: ignore[misc]
+            kept[bag] = bent(
+                folder / f"bag_{len(kept)}",
+                mistake.bend(question),
+                bag,
+            )  # type: ignore[misc]
         return kept[bag]
 
     loaded = changed(question.loaded)

@@ -66,7 +66,10 @@ def torque_of_bodies(
     Parameters of a body: mass, first moments, inertia about its frame's origin (xx, xy, xz, yy, yz, zz).
     """
     count, joints = position.shape
-    turn = np.broadcast_to(np.eye(3), (count, 3, 3))
+    turn = np.broadcast_to(
+        np.eye(3),
+        (count, 3, 3),
+    )
     spin = np.zeros((count, 3))
     spin_rate = np.zeros((count, 3))
     origin = np.zeros((count, 3))
@@ -168,7 +171,10 @@ class Model:
         ]
         return np.concatenate([unknowns[:10], *links])
 
-    def _by_joint(self, unknowns: np.ndarray) -> dict[str, np.ndarray]:
+    def _by_joint(
+        self,
+        unknowns: np.ndarray,
+    ) -> dict[str, np.ndarray]:
         rest = unknowns[10 + 5 * self.joints :].reshape(
             -1,
             self.joints,
@@ -198,7 +204,10 @@ class Model:
             gain = 1.0 / (1.0 - of["gears"] * slip * np.sign(needed))
             yield gain * needed, gain, slip
 
-    def read(self, unknowns: np.ndarray) -> list[np.ndarray]:
+    def read(
+        self,
+        unknowns: np.ndarray,
+    ) -> list[np.ndarray]:
         """Torque that each motion's currents say without noise [N m], each of shape (T, n)."""
         of = self._by_joint(unknowns)
         return [
@@ -243,10 +252,19 @@ class Model:
                 for joint in range(joints):
                     rows[:, joint, start + kind * joints + joint] = column[:, joint]
             rows /= (1.0 + of["delta"])[:, None]
-            result.append(rows.reshape(-1, len(self.truth)))
+            result.append(
+                rows.reshape(
+                    -1,
+                    len(self.truth),
+                )
+            )
         return result
 
-    def prior_precision(self, payload_std: np.ndarray, torque_std: float = 0.01) -> np.ndarray:
+    def prior_precision(
+        self,
+        payload_std: np.ndarray,
+        torque_std: float = 0.01,
+    ) -> np.ndarray:
         """Inverse covariance of the unknowns before any motion, shape (U, U)."""
         joints = self.joints
         build = self.arm.build
@@ -279,7 +297,11 @@ class Model:
         """Standard deviation of the torque that the currents say [N m], shape (n,)."""
         return self.arm.build.current_noise_A * np.array(self.arm.build.constants)
 
-    def _with_positions(self, number: int, rows: np.ndarray) -> np.ndarray:
+    def _with_positions(
+        self,
+        number: int,
+        rows: np.ndarray,
+    ) -> np.ndarray:
         """The slopes over the covariance of the noise where positions are noisy, too, shape (T n, U).
 
         An acceleration from positions is their second difference, and its noise a torque by the joints' inertia matrix.

@@ -30,7 +30,11 @@ from proprio_ros.quantity import Z95
 from proprio_ros.robot import load_robot
 
 
-def row(results: Results, name: str, answers: np.ndarray) -> None:
+def row(
+    results: Results,
+    name: str,
+    answers: np.ndarray,
+) -> None:
     """One row of the table, of answers (mass, error, half width, bound in kg) in rows."""
     _, error, half, least = answers.T
     hits = int(np.sum(np.abs(error) < half))
@@ -51,7 +55,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument(
         "--loaded-seconds", type=float, help="of the motion that is weighed, where it is shorter"
     )
-    parser.add_argument("--joints", type=int, choices=(4, 6), default=6)
+    parser.add_argument(
+        "--joints",
+        type=int,
+        choices=(4, 6),
+        default=6,
+    )
     parser.add_argument(
         "--teeth",
         action="store_true",

@@ -115,9 +115,17 @@ def drawn_arm(seed: int) -> Arm | None:
     if learnt.calibration is None or learnt.verdict.value != "accepted":
         return None
 
-    def pushed(probe: Probe, kg: float, random: np.random.Generator) -> Push:
+    def pushed(
+        probe: Probe,
+        kg: float,
+        random: np.random.Generator,
+    ) -> Push:
         load = ball(kg, DIAMETER_M)
-        return Push(_recorded(hidden, probe, load, random), facts_of(load), kg)
+        return Push(
+            _recorded(hidden, probe, load, random),
+            facts_of(load),
+            kg,
+        )
 
     def push(random: np.random.Generator) -> Push:
         probe = LOADED_PROBES[int(random.integers(len(LOADED_PROBES)))]
@@ -151,7 +159,11 @@ def recorded_arm(level: str, reference: bool) -> Arm:
     def push_in(folder: Path) -> Push:
         recording = bag_recording(simulated.bag_in(folder), Request(robot))
         truth = simulated.truth_of(folder)
-        return Push(recording, simulated.facts_of(folder), truth["payload"]["mass"])
+        return Push(
+            recording,
+            simulated.facts_of(folder),
+            truth["payload"]["mass"],
+        )
 
     def push(random: np.random.Generator) -> Push:
         folders = [
@@ -174,7 +186,10 @@ def recorded_arm(level: str, reference: bool) -> Arm:
 
 
 def _recorded(
-    hidden: HiddenRobot, probe: Probe, load: Load | None, random: np.random.Generator
+    hidden: HiddenRobot,
+    probe: Probe,
+    load: Load | None,
+    random: np.random.Generator,
 ) -> Recording:
     return record(
         hidden,
@@ -191,7 +206,10 @@ def _run(robot: Robot, recording: Recording) -> Run:
     return runs_of(robot, recording)[0]
 
 
-def runs_of(robot: Robot, recording: Recording) -> tuple[Run, ...]:
+def runs_of(
+    robot: Robot,
+    recording: Recording,
+) -> tuple[Run, ...]:
     """As `replay` cuts them out; raises `ProprioError` as it does."""
     found = runs_or_motion(recording, Request(robot))
     if isinstance(found, Motion):
@@ -202,7 +220,11 @@ def runs_of(robot: Robot, recording: Recording) -> tuple[Run, ...]:
 # --- what is wrong ------------------------------------------------------------------------------------------------------
 
 
-def signed(random: np.random.Generator, low: float, high: float) -> float:
+def signed(
+    random: np.random.Generator,
+    low: float,
+    high: float,
+) -> float:
     """A size between two, even in its logarithm, of either sign."""
     return float(np.exp(random.uniform(np.log(low), np.log(high))) * random.choice((-1.0, 1.0)))
 
@@ -298,7 +320,11 @@ def scaled_and_noisy(push: Push, random: np.random.Generator) -> Recording:
 
 
 def swapped(push: Push, random: np.random.Generator) -> Recording:
-    return bends.swapped(push.recording, driven_of(push), held_of(push, random))
+    return bends.swapped(
+        push.recording,
+        driven_of(push),
+        held_of(push, random),
+    )
 
 
 def other_command(push: Push, random: np.random.Generator) -> Recording:
@@ -323,7 +349,10 @@ def merged(
         content = yaml.load(file.read_text())
         unknowns = content["calibration"]["unknowns"]
         for key, known in asked.robot.calibration.quantities.items():
-            unknowns[name_of(key)].update(value=known.value, std=known.std)
+            unknowns[name_of(key)].update(
+                value=known.value,
+                std=known.std,
+            )
         with file.open("w") as stream:
             yaml.dump(content, stream)
         return replace(asked, robot=load_robot(file)), push
@@ -393,7 +422,11 @@ class Tally:
     farthest: float = 0.0
     codes: dict[str, int] | None = None
 
-    def add(self, estimate: Estimate | str, truth_kg: float) -> float | None:
+    def add(
+        self,
+        estimate: Estimate | str,
+        truth_kg: float,
+    ) -> float | None:
         """By how many standard deviations an accepted answer is off; None where there is none."""
         self.asked += 1
         self.codes = self.codes or {}
@@ -433,7 +466,10 @@ def answer(asked: Asked, facts: PayloadFacts) -> Estimate | str:
 def arm_of(seed: int, with_recordings: bool) -> Arm | None:
     """The arm of a seed; every fifth is a recorded one where these are there."""
     if with_recordings and seed % 5 == 0:
-        return recorded_arm(LEVELS[seed // 5 % 3], bool(seed % 2))
+        return recorded_arm(
+            LEVELS[seed // 5 % 3],
+            bool(seed % 2),
+        )
     return drawn_arm(seed)
 
 
@@ -487,7 +523,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
             if unmutated.add(plain, push.truth_kg) is not None:
                 low, high = plain.values[0].ci95
                 halves.append(0.5e3 * (high - low))
-        off = tallies[kind].add(found, push.truth_kg if push is not None else 0.0)
+        off = tallies[kind].add(
+            found,
+            push.truth_kg if push is not None else 0.0,
+        )
         if options.show and off is not None and off > FAR_SD:
             value = found.values[0]
             print(
@@ -509,7 +548,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
     for kind, tally in tallies.items():
         results.row("mutated pushes", **tally.row(kind))
         for name in ("asked", "accepted", "hold", "far"):
-            setattr(whole, name, getattr(whole, name) + getattr(tally, name))
+            setattr(
+                whole,
+                name,
+                getattr(whole, name) + getattr(tally, name),
+            )
         whole.farthest = max(whole.farthest, tally.farthest)
     results.row("mutated pushes", **whole.row("all"))
     plain_row = unmutated.row("nothing")

@@ -81,7 +81,12 @@ class Said:
     changed: bool
 
 
-def make(folder: Path, seed: int, rate_Hz: float, minutes: float) -> Work:
+def make(
+    folder: Path,
+    seed: int,
+    rate_Hz: float,
+    minutes: float,
+) -> Work:
     """Robot file, calibration and motion of an arm, in a folder."""
     path = write_sensing_arm(folder, JOINTS, seed)
     robot = load_robot(path)
@@ -175,7 +180,13 @@ class Listener:
         listen(DiagnosticArray, "/identifier/estimate", self._on_estimate, HEARD)
         listen(DiagnosticStatus, "/identifier/status", self._on_status, HEARD)
         # all else of it is the identifier's
-        self._states = listen(JointState, "/joint_states", self._on_first, STREAM, raw=True)
+        self._states = listen(
+            JointState,
+            "/joint_states",
+            self._on_first,
+            STREAM,
+            raw=True,
+        )
 
     def spin(self, seconds: float) -> None:
         """Listen for so long."""
@@ -231,7 +242,13 @@ def seen_s(
             continue
         seen += 1
         if all(each.at_s - each.stamp_s < WARNED_S for each in those[: first + 1]):
-            found.append(moving_s(work.motion, change_s, those[first].at_s - first_s))
+            found.append(
+                moving_s(
+                    work.motion,
+                    change_s,
+                    those[first].at_s - first_s,
+                )
+            )
     return found, seen
 
 

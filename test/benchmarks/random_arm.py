@@ -175,7 +175,9 @@ FIELDS_OF = {
 
 
 def draw_robot(
-    rng: np.random.Generator, effects: Collection[str] = EFFECTS_DEFAULT, spread: Spread = SPREAD
+    rng: np.random.Generator,
+    effects: Collection[str] = EFFECTS_DEFAULT,
+    spread: Spread = SPREAD,
 ) -> HiddenRobot:
     """Draw a robot; what is not among the effects is nominal. The same seed gives the same numbers for every set of effects.
 
@@ -273,7 +275,11 @@ def ball(
 ) -> Load:
     """A solid ball [kg, m]."""
     inertia = 0.1 * mass * diameter**2
-    return Load(mass, offset, (inertia, inertia, inertia, 0.0, 0.0, 0.0))
+    return Load(
+        mass,
+        offset,
+        (inertia, inertia, inertia, 0.0, 0.0, 0.0),
+    )
 
 
 def cube(
@@ -283,7 +289,11 @@ def cube(
 ) -> Load:
     """A solid cube [kg, m]."""
     inertia = mass * edge**2 / 6.0
-    return Load(mass, offset, (inertia, inertia, inertia, 0.0, 0.0, 0.0))
+    return Load(
+        mass,
+        offset,
+        (inertia, inertia, inertia, 0.0, 0.0, 0.0),
+    )
 
 
 @dataclass(frozen=True)
@@ -304,7 +314,11 @@ class Motion:
 
 
 def _model(
-    robot: HiddenRobot, driven: int, opening: float, load: Load | None, step_s: float
+    robot: HiddenRobot,
+    driven: int,
+    opening: float,
+    load: Load | None,
+    step_s: float,
 ) -> Any:
     """Compiled model; a servo on every joint, so that a motor's torque is the actuator's force."""
     import mujoco
@@ -339,7 +353,11 @@ def _model(
         joint.solref_limit = (0.004, 1.0)
         for attribute, value in STICKING.items():
             setattr(joint, attribute, value)
-        servo = spec.add_actuator(name=name, target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+        servo = spec.add_actuator(
+            name=name,
+            target=name,
+            trntype=mujoco.mjtTrn.mjTRN_JOINT,
+        )
         servo.biastype = mujoco.mjtBias.mjBIAS_AFFINE
         servo.gainprm[0], servo.biasprm[:3] = _servo(robot, index)
     return spec.compile()
@@ -351,7 +369,11 @@ def _servo(
 ) -> tuple[float, tuple[float, float, float]]:
     """Gain and bias of the holding servo: torque = gain * target + bias . (1, q, v)."""
     stiffness = robot.torque_constant[index] * HOLD_A_PER_RAD
-    return stiffness, (0.0, -stiffness, -robot.torque_constant[index] * HOLD_A_S_PER_RAD)
+    return stiffness, (
+        0.0,
+        -stiffness,
+        -robot.torque_constant[index] * HOLD_A_S_PER_RAD,
+    )
 
 
 def simulate(
@@ -373,7 +395,13 @@ def simulate(
     import mujoco
 
     driven = JOINTS.index(joint)
-    model = _model(robot, driven, start.get(GRIPPER, 0.0), load, step_s)
+    model = _model(
+        robot,
+        driven,
+        start.get(GRIPPER, 0.0),
+        load,
+        step_s,
+    )
     data = mujoco.MjData(model)
     # the controller brings the readings to the start, and has found the torques that keep them there
     reading = np.array([start.get(name, 0.0) for name in JOINTS])
@@ -564,7 +592,13 @@ def _probe(
 ) -> Probe:
     return Probe(
         joint,
-        {"joint1": 0.0, "joint2": joint2, "joint3": joint3, "joint4": joint4, GRIPPER: 0.0},
+        {
+            "joint1": 0.0,
+            "joint2": joint2,
+            "joint3": joint3,
+            "joint4": joint4,
+            GRIPPER: 0.0,
+        },
         current_A,
     )
 

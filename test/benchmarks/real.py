@@ -76,7 +76,10 @@ class Answer:
     def sigmas(self) -> float:
         """How far off, in standard deviations of the interval: Student's are wider than a normal distribution's."""
         assert self.value is not None and self.low is not None and self.high is not None
-        half = max(self.high - self.value, self.value - self.low)
+        half = max(
+            self.high - self.value,
+            self.value - self.low,
+        )
         return Z95 * abs(self.value - self.truth) / half
 
 
@@ -117,7 +120,12 @@ def asked(
     )
 
 
-def cut(bag: Path, folder: Path, begin_s: float, end_s: float) -> Path:
+def cut(
+    bag: Path,
+    folder: Path,
+    begin_s: float,
+    end_s: float,
+) -> Path:
     """The messages of a bag between two times since its first."""
     types = get_typestore(Stores.ROS2_JAZZY)
     with AnyReader([bag], default_typestore=types) as reader, Writer(folder, version=9) as writer:
@@ -132,7 +140,10 @@ def cut(bag: Path, folder: Path, begin_s: float, end_s: float) -> Path:
 
 
 def seconds_of(bag: Path) -> float:
-    with AnyReader([bag], default_typestore=get_typestore(Stores.ROS2_JAZZY)) as reader:
+    with AnyReader(
+        [bag],
+        default_typestore=get_typestore(Stores.ROS2_JAZZY),
+    ) as reader:
         return 1e-9 * reader.duration
 
 
@@ -186,7 +197,12 @@ def ur10e(real: Path, folder: Path) -> Iterator[Answer]:
     ]
     for baseline in empty:
         words = ("--robot", str(robot), *unit, "--baseline", str(baseline))
-        yield asked("UR10e, 2.805 kg, `--baseline`", baseline.name, UR10E_KG, [str(loaded), *words])
+        yield asked(
+            "UR10e, 2.805 kg, `--baseline`",
+            baseline.name,
+            UR10E_KG,
+            [str(loaded), *words],
+        )
         for bag in cuts:
             yield asked(
                 "the same, 15 s", f"{bag.name}, {baseline.name}", UR10E_KG, [str(bag), *words]
@@ -202,7 +218,12 @@ def ur10e(real: Path, folder: Path) -> Iterator[Answer]:
         file = folder / f"{baseline.name}.yaml"
         said(["calibrate", str(baseline), "--robot", str(robot), *unit, "--output", str(file)])
         words = ("--calibration", str(file), *unit)
-        yield asked("UR10e, 2.805 kg, calibrated", baseline.name, UR10E_KG, [str(loaded), *words])
+        yield asked(
+            "UR10e, 2.805 kg, calibrated",
+            baseline.name,
+            UR10E_KG,
+            [str(loaded), *words],
+        )
         for bag in cuts:
             yield asked(
                 "the same, 15 s, calibrated",
@@ -229,7 +250,12 @@ def open_manipulator(real: Path, folder: Path) -> Iterator[Answer]:
         file = folder / f"{one.name}.yaml"
         said(["calibrate", str(one), *more, "--output", str(file)])
         words = ("--calibration", str(file), *more)
-        yield asked("OpenManipulator-X, nothing, 10 s", one.name, 0.0, [str(other), *words])
+        yield asked(
+            "OpenManipulator-X, nothing, 10 s",
+            one.name,
+            0.0,
+            [str(other), *words],
+        )
 
 
 def swings(real: Path, folder: Path) -> Iterator[Answer]:
@@ -254,7 +280,12 @@ def swings(real: Path, folder: Path) -> Iterator[Answer]:
                 ]
             )
             for number in set(range(len(bags))) - set(known):
-                words = [str(bags[number]), "--calibration", str(file), *STS_OBJECT]
+                words = [
+                    str(bags[number]),
+                    "--calibration",
+                    str(file),
+                    *STS_OBJECT,
+                ]
                 yield asked(
                     f"STS3215 let go, {count} loads known",
                     f"{number} by {known}",
@@ -266,7 +297,13 @@ def swings(real: Path, folder: Path) -> Iterator[Answer]:
 def controllers(real: Path, folder: Path) -> Iterator[Answer]:
     robot = pendulum(folder, "dfki", 0.13, 0.5, "torque_constant_N_m_per_A: 1.0")
     for name in ("ddp", "direct_collocation", "pd", "energy_shaping", "sac"):
-        words = [str(real / f"dfki_{name}"), "--robot", str(robot), "--effort-unit", "N.m"]
+        words = [
+            str(real / f"dfki_{name}"),
+            "--robot",
+            str(robot),
+            "--effort-unit",
+            "N.m",
+        ]
         yield asked(
             "AK80-6, length of the pendulum",
             name,
@@ -278,13 +315,25 @@ def controllers(real: Path, folder: Path) -> Iterator[Answer]:
     servo = pendulum(folder, "servo", 0.01, 0.1, "torque_constant_N_m_per_A: 0.36", nominal=0.36)
     for unit in ("raw", "mA", "A", "N.m"):
         for bag in sorted(real.glob("xl330_*")):
-            words = [str(bag), "--robot", str(servo), "--effort-unit", unit]
+            words = [
+                str(bag),
+                "--robot",
+                str(servo),
+                "--effort-unit",
+                unit,
+            ]
             yield asked(
                 "XL330, effort is a duty cycle, as any unit", f"{bag.name} {unit}", XL330_KG, words
             )
         for bag in sorted(real.glob("sts3215_*kg")):
             if "release" not in bag.name:
-                words = [str(bag), "--robot", str(servo), "--effort-unit", unit]
+                words = [
+                    str(bag),
+                    "--robot",
+                    str(servo),
+                    "--effort-unit",
+                    unit,
+                ]
                 truth = float(bag.name.rpartition("_")[2].removesuffix("kg"))
                 yield asked(
                     "STS3215 driven, effort has no sign, as any unit",
@@ -349,7 +398,12 @@ def by_voltage(real: Path, folder: Path) -> Iterator[Answer]:
                         "--force",
                     ]
                     said(["calibrate", *references, *words])
-                words = [str(bag), "--calibration", str(written[known]), *object_is]
+                words = [
+                    str(bag),
+                    "--calibration",
+                    str(written[known]),
+                    *object_is,
+                ]
                 yield asked(row, f"{bag.name} by {len(known)}", what[2], words)
 
 
@@ -396,14 +450,21 @@ def main(arguments: Sequence[str] | None = None) -> None:
                     )
             for row in dict.fromkeys(answer.row for answer in of_machine):
                 results.row(
-                    "real", **_figures(row, [answer for answer in of_machine if answer.row == row])
+                    "real",
+                    **_figures(
+                        row,
+                        [answer for answer in of_machine if answer.row == row],
+                    ),
                 )
             answers += of_machine
     results.row("real", **_figures("all", answers))
     results.keep()
 
 
-def _figures(name: str, answers: Sequence[Answer]) -> dict[str, Any]:
+def _figures(
+    name: str,
+    answers: Sequence[Answer],
+) -> dict[str, Any]:
     """Numbers of a row: errors and half intervals in % of the truth, or in g where it is nothing."""
     given = [answer for answer in answers if answer.given]
     wide = sum(answer.verdict == "too_wide" for answer in given)

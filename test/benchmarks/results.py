@@ -44,21 +44,34 @@ class Results:
     """
 
     def __init__(
-        self, script: str, file: Path | None, arguments: Sequence[str] | None = None
+        self,
+        script: str,
+        file: Path | None,
+        arguments: Sequence[str] | None = None,
     ) -> None:
         self.file = file
         self.tables: dict[str, dict[str, Any]] = {}
         self._printed = ""
         self._began = time.monotonic()
-        self._run = _run(script, sys.argv[1:] if arguments is None else arguments)
+        self._run = _run(
+            script,
+            sys.argv[1:] if arguments is None else arguments,
+        )
 
-    def table(self, name: str, columns: Mapping[str, str]) -> None:
+    def table(
+        self,
+        name: str,
+        columns: Mapping[str, str],
+    ) -> None:
         """Begin a table.
 
         Args:
             columns: Of each title the words of its cells, a format of the row's numbers such as `{rms_g:.2f} g`.
         """
-        self.tables[name] = {"columns": dict(columns), "rows": []}
+        self.tables[name] = {
+            "columns": dict(columns),
+            "rows": [],
+        }
 
     def row(self, table: str, **numbers: Any) -> None:
         """Add a row, and print it."""
@@ -89,10 +102,17 @@ def text_of(kept: Mapping[str, Any]) -> str:
         name: {**table, "rows": [f"ROW {name} {n}" for n in range(len(table["rows"]))]}
         for name, table in kept["tables"].items()
     }
-    text = json.dumps({**kept, "tables": tables}, indent=1)
+    text = json.dumps(
+        {**kept, "tables": tables},
+        indent=1,
+    )
     for name, table in kept["tables"].items():
         for number, row in enumerate(table["rows"]):
-            text = text.replace(json.dumps(f"ROW {name} {number}"), json.dumps(row), 1)
+            text = text.replace(
+                json.dumps(f"ROW {name} {number}"),
+                json.dumps(row),
+                1,
+            )
     return text + "\n"
 
 
@@ -105,7 +125,10 @@ def _rounded(value: Any) -> Any:
     return float(f"{value:.6g}") if isinstance(value, float) else value
 
 
-def _run(script: str, arguments: Sequence[str]) -> dict[str, Any]:
+def _run(
+    script: str,
+    arguments: Sequence[str],
+) -> dict[str, Any]:
     """Command line (without where it keeps its results), commit, date, and machine."""
     words = [
         "python",

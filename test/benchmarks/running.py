@@ -60,7 +60,11 @@ def watch(
 ) -> tuple[np.ndarray, list[float], int, float]:
     """Mass, error and half interval [kg] in rows; how late each change was noticed [s]; false changes; CPU per second of data."""
     empty, parts = day
-    weight = OnlineEstimator(robot, fit_empty(robot, empty), held={"gripper_left_joint": 0.0})
+    weight = OnlineEstimator(
+        robot,
+        fit_empty(robot, empty),
+        held={"gripper_left_joint": 0.0},
+    )
     rows = []
     late = []
     false = 0
@@ -193,7 +197,11 @@ def sense(seed: int, minutes: float, stays_s: float) -> Sensed:
         ]
         rest_s = max(60.0 * minutes - stays_s * 22 - 30.0, 20.0)
         parts = [
-            (arm.work(stays_s * 22, schedule), schedule, shown.later),
+            (
+                arm.work(stays_s * 22, schedule),
+                schedule,
+                shown.later,
+            ),
             (arm.work(0.5 * rest_s), [], shown.later),
             (
                 arm.work(
@@ -204,7 +212,11 @@ def sense(seed: int, minutes: float, stays_s: float) -> Sensed:
                 shown.later,
             ),
             (
-                arm.work(30.0, [(0.0, one)], elsewhere=ELSEWHERE_RAD),
+                arm.work(
+                    30.0,
+                    [(0.0, one)],
+                    elsewhere=ELSEWHERE_RAD,
+                ),
                 [(0.0, one)],
                 shown.elsewhere,
             ),
@@ -303,7 +315,11 @@ def sensing(results: Results, options: Namespace) -> None:
         with threadpool_limits(1, user_api="blas"):
             every.append(sense(seed, options.minutes, options.stays))
         name = f"{seed}, {6 + seed % 2} joints, {RATES_HZ[seed % len(RATES_HZ)]:.0f} Hz"
-        results.row("sensing", arm=name, **sensed_figures(every[-1]))
+        results.row(
+            "sensing",
+            arm=name,
+            **sensed_figures(every[-1]),
+        )
     whole = together(every)
     results.row("sensing", arm="all", **sensed_figures(whole))
     results.table(

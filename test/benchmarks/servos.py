@@ -159,7 +159,10 @@ def asked(
                 (np.nan, np.nan),
             )
             if learnt is not None and learnt.verdict is Verdict.ACCEPTED:
-                bag = write(folder / f"asked{number}", servo.moved(kg, random, rate_hz))
+                bag = write(
+                    folder / f"asked{number}",
+                    servo.moved(kg, random, rate_hz),
+                )
                 estimate = replay(bag, Options(calibration=output, settings=POINT))
                 mass = estimate.values[0]
                 if estimate.verdict is Verdict.ACCEPTED:

@@ -71,7 +71,10 @@ class Answers:
             self.halves.append(scale * Z95 * value.std)
             self.hold += value.ci95[0] <= truth <= value.ci95[1]
 
-    def figures(self, prefix: str = "") -> dict[str, Any]:
+    def figures(
+        self,
+        prefix: str = "",
+    ) -> dict[str, Any]:
         """Numbers of a row."""
         off = np.abs(self.errors or [np.nan])
         found = {
@@ -99,7 +102,11 @@ def weighed(
     for folder in folders:
         truth = simulated.truth_of(folder)
         if robot is not None:
-            estimate = weigh(robot, simulated.runs_of(folder, robot), simulated.facts_of(folder))
+            estimate = weigh(
+                robot,
+                simulated.runs_of(folder, robot),
+                simulated.facts_of(folder),
+            )
         else:
             estimate = simulated.weighed(
                 folder, simulated.known_drive_train(truth) if known else None
@@ -146,7 +153,11 @@ def weighing(results: Results, levels: Sequence[str]) -> None:
             row(
                 level, "and on three with 100 g", weighed(folders, calibrated_on(empty + reference))
             )
-        row(level, "robot file", weighed(simulated.fixed(RECORDINGS, level)[:at_most]))
+        row(
+            level,
+            "robot file",
+            weighed(simulated.fixed(RECORDINGS, level)[:at_most]),
+        )
 
 
 def container(results: Results, levels: Sequence[str]) -> None:
@@ -225,7 +236,10 @@ def blocks(results: Results, levels: Sequence[str]) -> None:
                 folder = RECORDINGS / level / f"squeeze_{block}"
                 _, modulus, ratio = simulated.cube_of(folder)
                 # the truth is each finger's; both together close by twice as much
-                gap = Quantity(2.0 * simulated.truth_of(folder)["cube"]["gap"], 1e-5)
+                gap = Quantity(
+                    2.0 * simulated.truth_of(folder)["cube"]["gap"],
+                    1e-5,
+                )
                 estimate = simulated.squeezed(
                     robot,
                     folder,
@@ -260,7 +274,12 @@ def paper(results: Results, levels: Sequence[str]) -> None:
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    tables = {"weighing": weighing, "container": container, "blocks": blocks, "paper": paper}
+    tables = {
+        "weighing": weighing,
+        "container": container,
+        "blocks": blocks,
+        "paper": paper,
+    }
     parser = parser_of(__doc__)
     parser.add_argument(
         "tables",

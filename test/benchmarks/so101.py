@@ -65,7 +65,11 @@ class Arm:
         """By how much of itself dry friction is greater at rest, where it holds a joint; of the firmware; duty cycle per rad."""
 
     def moved(
-        self, load_kg: float, random: np.random.Generator, rate_hz: float, seconds: float
+        self,
+        load_kg: float,
+        random: np.random.Generator,
+        rate_hz: float,
+        seconds: float,
     ) -> dict[str, np.ndarray]:
         """As it goes from pose to pose, see `followed`."""
         dry = self.coulomb * random.normal(1.0, 0.05, len(JOINTS))
@@ -74,7 +78,15 @@ class Arm:
         while goals_at[-1] < seconds:
             goals_at.append(goals_at[-1] + random.uniform(0.8, 2.0))
             goals.append(MIDDLE + REACH * random.uniform(-1.0, 1.0, len(JOINTS)))
-        return self.followed(load_kg, random, rate_hz, seconds, dry, goals_at, goals)
+        return self.followed(
+            load_kg,
+            random,
+            rate_hz,
+            seconds,
+            dry,
+            goals_at,
+            goals,
+        )
 
     def followed(
         self,
@@ -166,7 +178,10 @@ class Arm:
         return {name: np.array(values) for name, values in rows.items()}
 
 
-def write(folder: Path, rows: dict[str, np.ndarray]) -> Path:
+def write(
+    folder: Path,
+    rows: dict[str, np.ndarray],
+) -> Path:
     """A bag of goals and positions."""
     types: Any = message_types()
     time, header, state = (
@@ -178,7 +193,10 @@ def write(folder: Path, rows: dict[str, np.ndarray]) -> Path:
     for row, t in enumerate(rows["t"]):
         time_ns = 10**9 + round(1e9 * t)
         stamp = header(
-            stamp=time(sec=time_ns // 10**9, nanosec=time_ns % 10**9),
+            stamp=time(
+                sec=time_ns // 10**9,
+                nanosec=time_ns % 10**9,
+            ),
             frame_id="",
         )
         for topic, name in (("/joint_states", "position"), ("/joint_command", "goal")):
@@ -199,7 +217,10 @@ def write(folder: Path, rows: dict[str, np.ndarray]) -> Path:
 
 
 def weighed(
-    seed: int, rate_hz: float, seconds: float, asked_kg: Sequence[float] = ASKED_KG
+    seed: int,
+    rate_hz: float,
+    seconds: float,
+    asked_kg: Sequence[float] = ASKED_KG,
 ) -> list[tuple[float, Estimate]]:
     """Truths [kg] and answers of one arm.
 
@@ -212,7 +233,10 @@ def weighed(
         folder = Path(name)
 
         def bag(label: str, kg: float) -> Path:
-            return write(folder / label, arm.moved(kg, random, rate_hz, seconds))
+            return write(
+                folder / label,
+                arm.moved(kg, random, rate_hz, seconds),
+            )
 
         output = folder / "calibrated.yaml"
         options = Options(robot="so101", settings=SETTINGS)

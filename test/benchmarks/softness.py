@@ -167,7 +167,12 @@ def _node_kernel(
 class PerSubstep:
     """The bonded block between the fingers, three launches per substep on one tape."""
 
-    def __init__(self, body: SoftBody, run: SoftRun, p: np.ndarray) -> None:
+    def __init__(
+        self,
+        body: SoftBody,
+        run: SoftRun,
+        p: np.ndarray,
+    ) -> None:
         self.run, self.body = run, body
         (
             self._tets,
@@ -185,7 +190,11 @@ class PerSubstep:
             [0.5 * body.mesh.length, body.travel, FRICTION_VELOCITY, faces, run.step_s]
         )
         self._constants = wp.array(constants, dtype=FLOAT)
-        self._p = wp.array(p[0], dtype=FLOAT, requires_grad=True)
+        self._p = wp.array(
+            p[0],
+            dtype=FLOAT,
+            requires_grad=True,
+        )
         self._start = body._start(p, None)
         self._currents = run.currents()
 
@@ -206,7 +215,11 @@ class PerSubstep:
         tape = wp.Tape()
         with tape:
             for n in range(steps):
-                cell_j = wp.zeros(self.body.mesh.cell_count, dtype=FLOAT, requires_grad=True)
+                cell_j = wp.zeros(
+                    self.body.mesh.cell_count,
+                    dtype=FLOAT,
+                    requires_grad=True,
+                )
                 force = wp.zeros(nodes, dtype=VEC3, requires_grad=True)
                 push = wp.zeros(1, dtype=FLOAT, requires_grad=True)
                 next_q = wp.empty_like(q)
@@ -256,7 +269,12 @@ class PerSubstep:
 class OnePerSubstep:
     """Our kernel, one launch per substep on one tape; the states' arrays are there before."""
 
-    def __init__(self, body: SoftBody, run: SoftRun, p: np.ndarray) -> None:
+    def __init__(
+        self,
+        body: SoftBody,
+        run: SoftRun,
+        p: np.ndarray,
+    ) -> None:
         steps = run.frames * run.substeps
         nodes = len(body.mesh.points)
         self._rest = PerSubstep(body, run, p)
@@ -291,8 +309,18 @@ class OnePerSubstep:
         tape = wp.Tape()
         with tape:
             for current, *rows in self._launches:
-                inputs = [*self._block, self._rest._constants, current, self._p]
-                wp.launch(self._kernel, dim=1, inputs=inputs, outputs=rows)
+                inputs = [
+                    *self._block,
+                    self._rest._constants,
+                    current,
+                    self._p,
+                ]
+                wp.launch(
+                    self._kernel,
+                    dim=1,
+                    inputs=inputs,
+                    outputs=rows,
+                )
         for array in self._arrays:
             array.grad.zero_()
         self._p.grad.zero_()
@@ -309,7 +337,10 @@ def explicit_case(
 ) -> tuple[SoftBody, SoftRun, np.ndarray]:
     """A second of the paper's heavy cube under its motor, in touch from the start."""
     body = SoftBody(
-        box(np.full(3, EDGE), (cells, cells, cells)),
+        box(
+            np.full(3, EDGE),
+            (cells, cells, cells),
+        ),
         MASS,
         TRAVEL,
     )
@@ -372,7 +403,10 @@ class Fit:
     start = np.array([3 * 12824.6, 0.35, 0.0])
 
     def __init__(self, cells: int = 2) -> None:
-        self.table = build(np.full(3, EDGE), cells=cells)
+        self.table = build(
+            np.full(3, EDGE),
+            cells=cells,
+        )
         mesh = box(
             np.full(3, 0.5 * EDGE),
             (cells, cells, cells),
@@ -410,7 +444,11 @@ class Fit:
         p[0, self.rows] = values
         return p
 
-    def _rollout(self, simulator: SqueezeSimulator, values: np.ndarray) -> np.ndarray:
+    def _rollout(
+        self,
+        simulator: SqueezeSimulator,
+        values: np.ndarray,
+    ) -> np.ndarray:
         return simulator.rollout(self.one, self._p(values))[0][0]
 
     def ours(self) -> np.ndarray:
@@ -464,11 +502,20 @@ class Fit:
                 squeezes * EDGE,
                 *lame(1.0, values[1]),
             )
-            spline = CubicHermiteSpline(squeezes, curve.force / EDGE**2, curve.by_squeeze / EDGE)
+            spline = CubicHermiteSpline(
+                squeezes,
+                curve.force / EDGE**2,
+                curve.by_squeeze / EDGE,
+            )
             nodes = np.zeros((len(grid), 2, 4))
             nodes[:, :, 0] = spline(grid)[:, None]
             nodes[:, :, 1] = spline(grid, 1)[:, None] * grid[1]
-            table = Response(f"one curve at {values[1]}", grid, np.array([0.0, 0.48]), nodes)
+            table = Response(
+                f"one curve at {values[1]}",
+                grid,
+                np.array([0.0, 0.48]),
+                nodes,
+            )
             return (self._rollout(self._simulator(table), values) - self.seen) / 1e-3
 
         bounds = np.array([[100.0, 0.0, -0.005], [1e6, 0.48, 0.005]]) / self.scale
@@ -497,7 +544,16 @@ def rows(_: Any = None) -> list[Row]:
             Row(f"soft block {cells}^3: ours, a segment per launch, rollout and gradient", ours)
         )
         what = f"soft block {cells}^3: three launches per substep and wp.Tape"
-        lines.append(_compared(what, by_three, ours, goal, off <= EQUAL, f"differs by {off:.1g}"))
+        lines.append(
+            _compared(
+                what,
+                by_three,
+                ours,
+                goal,
+                off <= EQUAL,
+                f"differs by {off:.1g}",
+            )
+        )
         what = f"soft block {cells}^3: our kernel once per substep and wp.Tape"
         ratio = f"{by_one.median / ours.median:.0f}x"
         lines.append(Row(what, by_one, ratio, note=f"no goal; differs by {off_one:.1g}"))
@@ -519,10 +575,20 @@ def rows(_: Any = None) -> list[Row]:
     fit = Fit()
     by_scipy = Kept(fit.scipy)
     by_us = Kept(fit.ours)
-    theirs, ours = measure_in_turn((by_scipy, by_us), 3, (1, 10))
+    theirs, ours = measure_in_turn(
+        (by_scipy, by_us),
+        3,
+        (1, 10),
+    )
     ours_found = by_us.answer
     scipy_found = by_scipy.answer
-    lines.append(Row("softness: our fit over the table", ours, note=_found(ours_found, fit)))
+    lines.append(
+        Row(
+            "softness: our fit over the table",
+            ours,
+            note=_found(ours_found, fit),
+        )
+    )
     same = bool(
         np.abs(ours_found / fit.truth - 1.0)[0] < 0.005
         and np.abs(scipy_found / fit.truth - 1.0)[0] < 0.005

@@ -138,7 +138,11 @@ class Boxed(Load):
             model.dof_armature[:4] = held
             model.dof_damping[4:7] = self.sphere_kg * resistance
             model.dof_damping[7:10] = self.sphere_kg * RADIUS_M**2 * resistance
-            mujoco.mj_step(model, data, nstep=round(SETTLE_S / model.opt.timestep))
+            mujoco.mj_step(
+                model,
+                data,
+                nstep=round(SETTLE_S / model.opt.timestep),
+            )
             if np.abs(data.qvel[4:7]).max() < STANDS_M_S:
                 break
         model.dof_damping[4:10] = 0.0
@@ -180,7 +184,13 @@ def _probe(
 ) -> Probe:
     return Probe(
         joint,
-        {"joint1": 0.0, "joint2": joint2, "joint3": joint3, "joint4": joint4, GRIPPER: 0.0},
+        {
+            "joint1": 0.0,
+            "joint2": joint2,
+            "joint3": joint3,
+            "joint4": joint4,
+            GRIPPER: 0.0,
+        },
         current_A,
     )
 
@@ -218,7 +228,10 @@ def drawn(
     return rng, hidden, sphere
 
 
-def recorded(seed: int, effects: Collection[str] = EFFECTS) -> Recorded:
+def recorded(
+    seed: int,
+    effects: Collection[str] = EFFECTS,
+) -> Recorded:
     """One robot's recordings."""
     rng, hidden, sphere = drawn(seed, effects)
     empty = tuple(run_of(probe, hidden, None, rng) for probe in EMPTY_PROBES)
@@ -231,13 +244,22 @@ def recorded(seed: int, effects: Collection[str] = EFFECTS) -> Recorded:
                 break
         baseline.append(run)
         rolling.append(run_of(probe, hidden, sphere, rng))
-    return Recorded(hidden, sphere, empty, tuple(baseline), tuple(rolling))
+    return Recorded(
+        hidden,
+        sphere,
+        empty,
+        tuple(baseline),
+        tuple(rolling),
+    )
 
 
 def calibrated(made: Recorded) -> tuple[Robot, list[PreparedRun]] | None:
     """The robot as it learnt itself, and the runs that it learnt from; None where it refuses to."""
     robot = load_robot("open_manipulator_x")
-    learnt = calibrate(robot, [LoadedRun(run) for run in made.empty])
+    learnt = calibrate(
+        robot,
+        [LoadedRun(run) for run in made.empty],
+    )
     if learnt.calibration is None or learnt.verdict.value != "accepted":
         return None
     used = {run["name"] for run in learnt.calibration.runs}
@@ -288,7 +310,10 @@ def cramer_rao(
     )
     values = true_values(hidden, problem, SHELL_KG)
     values[problem.index["sphere_mass"]] = made.sphere.sphere_kg
-    _, v, dq = problem.simulate(values[None], problem.free)
+    _, v, dq = problem.simulate(
+        values[None],
+        problem.free,
+    )
     reading = np.hypot(
         runs[0].drive.encoder_resolution / np.sqrt(12.0),
         hidden.encoder_noise,
@@ -323,7 +348,12 @@ class Answer:
     shares: dict[str, float]
 
 
-def answer_of(runs: int, mass: float, estimate: Estimate, bound: float) -> Answer:
+def answer_of(
+    runs: int,
+    mass: float,
+    estimate: Estimate,
+    bound: float,
+) -> Answer:
     value = estimate.value("sphere_mass")
     assert isinstance(value.value, float) and isinstance(value.std, float)
     shares: dict[str, float] = {}
@@ -360,7 +390,14 @@ def one_robot(job: tuple[int, tuple[str, ...]]) -> tuple[list[Answer], list[str]
             refused.append(getattr(estimate.reasons[0], "code", "other"))
             continue
         bound = cramer_rao(made, known, runs)
-        answers.append(answer_of(len(runs), made.sphere.sphere_kg, estimate, bound))
+        answers.append(
+            answer_of(
+                len(runs),
+                made.sphere.sphere_kg,
+                estimate,
+                bound,
+            )
+        )
     return answers, refused
 
 
@@ -389,7 +426,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser = parser_of(__doc__)
     parser.add_argument("--robots", type=int, default=60)
     parser.add_argument("--first", type=int, default=2000, help="first seed")
-    parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
+    parser.add_argument(
+        "--jobs",
+        type=int,
+        default=os.cpu_count() or 1,
+    )
     parser.add_argument(
         "--without", nargs="*", default=[], choices=EFFECTS, help="effects that are absent"
     )
@@ -432,7 +473,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
         shares.update(answer.shares)
     results.table("shares of the variance", {"source": "{source}", "share": "{share:.1f} %"})
     for source, share in shares.most_common(7):
-        results.row("shares of the variance", source=source, share=100.0 * share / len(answers))
+        results.row(
+            "shares of the variance",
+            source=source,
+            share=100.0 * share / len(answers),
+        )
     print(f"refused: {dict(refused)}")
     results.keep()
 

@@ -87,7 +87,10 @@ def released(
     factor = 1.0 + 0.08 * rng.standard_normal(count)
     start = -rng.uniform(1.2, 1.6, count)
 
-    def rate(q: np.ndarray, v: np.ndarray) -> np.ndarray:
+    def rate(
+        q: np.ndarray,
+        v: np.ndarray,
+    ) -> np.ndarray:
         weight = moment * np.sin(q)
         dry = machine["coulomb"] + (machine["load"] * np.abs(weight) if harsh else 0.0)
         dry = dry * (1.0 + machine["rise"] * np.exp(-((v / machine["rise_speed"]) ** 2)))
@@ -96,7 +99,10 @@ def released(
     q, v, track = start.copy(), np.zeros(count), [start.copy()]
     for _ in range(round(LASTS_S / STEP_S)):
         a1 = rate(q, v)
-        a2 = rate(q + 0.5 * STEP_S * v, v + 0.5 * STEP_S * a1)
+        a2 = rate(
+            q + 0.5 * STEP_S * v,
+            v + 0.5 * STEP_S * a1,
+        )
         a3 = rate(
             q + 0.5 * STEP_S * (v + 0.5 * STEP_S * a1),
             v + 0.5 * STEP_S * a2,
@@ -126,7 +132,11 @@ def released(
     return swings
 
 
-def as_run(name: str, stamps_s: np.ndarray, reading: np.ndarray) -> Run:
+def as_run(
+    name: str,
+    stamps_s: np.ndarray,
+    reading: np.ndarray,
+) -> Run:
     """Cut out as from a bag that says when torque went off."""
     times_ns = 1_000_000_000 + np.rint(1e9 * stamps_s).astype(np.int64)
     off = (int(1_000_000_000 + 1e9 * RELEASED_S), int(times_ns[-1]) + 1)

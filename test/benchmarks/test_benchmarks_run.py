@@ -131,8 +131,16 @@ def test_both_fits_of_a_soft_block_find_the_truth() -> None:
     from softness import Fit
 
     fit = Fit()
-    np.testing.assert_allclose(fit.ours(), fit.truth, rtol=1e-5)
-    np.testing.assert_allclose(fit.scipy(), fit.truth, rtol=5e-3)
+    np.testing.assert_allclose(
+        fit.ours(),
+        fit.truth,
+        rtol=1e-5,
+    )
+    np.testing.assert_allclose(
+        fit.scipy(),
+        fit.truth,
+        rtol=5e-3,
+    )
 
 
 @pytest.mark.long

@@ -270,7 +270,10 @@ def test_a_shake_switches_when_its_command_says(period_s: float) -> None:
         0.1,
         -0.1,
     )
-    np.testing.assert_array_equal(shaken.current_A[: len(says)], says)
+    np.testing.assert_array_equal(
+        shaken.current_A[: len(says)],
+        says,
+    )
 
 
 @pytest.mark.long

@@ -25,11 +25,19 @@ def test_the_best_estimate_on_the_simulator_s_own_laws_errs_as_much_as_the_bound
     model = Model(
         arm,
         [(empty, False), (loaded, True)],
-        parameters(mass, centre, np.full(3, 0.4 * mass * 0.05**2)),
+        parameters(
+            mass,
+            centre,
+            np.full(3, 0.4 * mass * 0.05**2),
+        ),
     )
     clean = model.read(model.truth)
     for torque, truth in zip(clean, (empty, loaded), strict=True):
-        np.testing.assert_allclose(torque * arm.torque, truth.torque, atol=1e-9)
+        np.testing.assert_allclose(
+            torque * arm.torque,
+            truth.torque,
+            atol=1e-9,
+        )
 
     # priors are like measurements around the truth; from there, Newton's steps with the slopes of the truth
     covariance, precision = model.covariance()

@@ -149,7 +149,11 @@ def ran(
 
 @pytest.mark.long
 @pytest.mark.parametrize("name", SMALL)
-def test_a_benchmark_runs(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_benchmark_runs(
+    name: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     pytest.importorskip("mujoco")
     from support import hand
 
@@ -202,7 +206,10 @@ def test_a_simulated_arm_s_step_is_judged(capsys: pytest.CaptureFixture[str]) ->
 
 
 @pytest.mark.long
-def test_episodes_are_made_and_judged(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_episodes_are_made_and_judged(
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     pytest.importorskip("mujoco")
     pytest.importorskip("pyarrow")
     import batch

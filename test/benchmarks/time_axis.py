@@ -76,7 +76,10 @@ class Answer:
         return float(Z95 * abs(value - self.question.base.truth) / self.half_kg)
 
 
-def bases(first: int, sets: int) -> Iterator[tuple[str, Base]]:
+def bases(
+    first: int,
+    sets: int,
+) -> Iterator[tuple[str, Base]]:
     """Machines by name, and their recordings."""
     for name in ("ur10e", "ur10e_15"):
         if not BASES[name].missing:
@@ -109,9 +112,17 @@ def answer(question: Question, made: Path) -> Answer:
     files = dict(base.files(made))
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        files["loaded"] = stretched(files["loaded"], folder / "loaded", question.factor)
+        files["loaded"] = stretched(
+            files["loaded"],
+            folder / "loaded",
+            question.factor,
+        )
         if question.of == TOGETHER and "empty" in files:
-            files["empty"] = stretched(files["empty"], folder / "empty", question.factor)
+            files["empty"] = stretched(
+                files["empty"],
+                folder / "empty",
+                question.factor,
+            )
         if question.of == TOGETHER and "calibration" in files:
             calibrated = _calibrated(files, folder, question.factor)
             if isinstance(calibrated, Outcome):
@@ -120,7 +131,11 @@ def answer(question: Question, made: Path) -> Answer:
         return Answer(question, asked(base.command, files))
 
 
-def _calibrated(files: Files, folder: Path, factor: float) -> Path | Outcome:
+def _calibrated(
+    files: Files,
+    folder: Path,
+    factor: float,
+) -> Path | Outcome:
     """A calibration of an SO-101 by stretched recordings, or what was said instead."""
     from so101 import KNOWN_KG
 
@@ -183,7 +198,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
         mine = [each for each in answers if each.question.factor == factor]
         row(results, "factors", f"{1.0 / factor:.2f}", mine)
     row(results, "factors", "all", answers)
-    results.table("machines", {"machine": "{name}", **columns, "half width": "{half:.3f} times"})
+    results.table(
+        "machines",
+        {"machine": "{name}", **columns, "half width": "{half:.3f} times"},
+    )
     for machine in dict.fromkeys(name for name, _ in known):
         for of in (ALONE, TOGETHER):
             mine = [

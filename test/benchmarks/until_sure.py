@@ -72,7 +72,11 @@ class Bench:
     def __post_init__(self) -> None:
         self.pose, self.time_s = dict(AT_HOME), 0.0
 
-    def push(self, probe: ExcitationRun, load: Load | None) -> list[Run]:
+    def push(
+        self,
+        probe: ExcitationRun,
+        load: Load | None,
+    ) -> list[Run]:
         """A push and its repetitions, as the excitation node would make them."""
         runs: list[Run] = []
         current: float | None = probe.current_A
@@ -89,7 +93,14 @@ class Bench:
             if (travel >= probe.max_travel).any():  # made again, and ended where the node ends it
                 ended = float(run.times_s[int(np.argmax(travel >= probe.max_travel))])
                 run = self._record(
-                    probe, start, current, max(0.025 * round(ended / 0.025), 0.1), load
+                    probe,
+                    start,
+                    current,
+                    max(
+                        0.025 * round(ended / 0.025),
+                        0.1,
+                    ),
+                    load,
                 )
             self.time_s += float(run.duration_s)
             runs.append(run)
@@ -285,7 +296,16 @@ def one_robot(job: tuple[int, str, bool, bool, Until, Sequence[float]]) -> list[
     cases = []
     for mass in masses:
         try:
-            cases.append(one_case(robot, hidden, mass, reference, until, seed))
+            cases.append(
+                one_case(
+                    robot,
+                    hidden,
+                    mass,
+                    reference,
+                    until,
+                    seed,
+                )
+            )
         except ProprioError as error:
             print(f"seed {seed}, {mass} kg: {error}", file=sys.stderr)
     return cases
@@ -306,7 +326,11 @@ COLUMNS = {
 }
 
 
-def row(results: Results, name: str, cases: Sequence[Case]) -> None:
+def row(
+    results: Results,
+    name: str,
+    cases: Sequence[Case],
+) -> None:
     """One row of the table; none without answers."""
     answered = [c for c in cases if c.ended_by != "refused"]
     if not answered:
@@ -328,7 +352,11 @@ def endings(ended_by: Iterable[str]) -> str:
     return ", ".join(f"{by} {count}" for by, count in Counter(ended_by).most_common())
 
 
-def table(results: Results, reference: str, cases: Sequence[Case]) -> None:
+def table(
+    results: Results,
+    reference: str,
+    cases: Sequence[Case],
+) -> None:
     """The rows of one way to calibrate."""
     row(results, f"reference {reference}", cases)
     for mass in sorted({case.mass for case in cases}):
@@ -343,14 +371,24 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser = parser_of(__doc__)
     parser.add_argument("--robots", type=int, default=24)
     parser.add_argument("--first", type=int, default=1000, help="first seed")
-    parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
+    parser.add_argument(
+        "--jobs",
+        type=int,
+        default=os.cpu_count() or 1,
+    )
     parser.add_argument(
         "--matched", action="store_true", help="robots that differ as much as the robot file allows"
     )
     parser.add_argument(
         "--stribeck", action="store_true", help="friction rises towards standstill, too"
     )
-    parser.add_argument("--masses", type=float, nargs="+", default=MASSES_KG, help="[kg]")
+    parser.add_argument(
+        "--masses",
+        type=float,
+        nargs="+",
+        default=MASSES_KG,
+        help="[kg]",
+    )
     parser.add_argument(
         "--half-of-them", action="store_true", help="every second mass, in turn: half the time"
     )
@@ -373,7 +411,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
     if options.table:
         lines = [Case(**json.loads(row)) for row in options.table.read_text().splitlines()]
         for reference in options.reference:
-            table(results, reference, [case for case in lines if case.reference == reference])
+            table(
+                results,
+                reference,
+                [case for case in lines if case.reference == reference],
+            )
         results.keep()
         return
     with Pool(options.jobs) as pool:

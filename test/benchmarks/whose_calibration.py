@@ -79,7 +79,10 @@ class Answer:
     def sigmas(self) -> float:
         """How far off, in standard deviations of the interval."""
         assert self.value_kg is not None
-        half = max(self.high_kg - self.value_kg, self.value_kg - self.low_kg)
+        half = max(
+            self.high_kg - self.value_kg,
+            self.value_kg - self.low_kg,
+        )
         return Z95 * abs(self.value_kg - self.truth_kg) / half
 
 
@@ -94,19 +97,36 @@ def asked(
     try:
         estimate = ask()
     except ProprioError as error:
-        return Answer(row, right, truth_kg, *refused, type(error).__name__)
+        return Answer(
+            row,
+            right,
+            truth_kg,
+            *refused,
+            type(error).__name__,
+        )
     mass = estimate.values[0]
     code = getattr(estimate.reasons[0], "code", "other") if estimate.reasons else ""
     if not isinstance(mass.value, float):
         return Answer(row, right, truth_kg, *refused, code)
     low, high = mass.ci95
-    return Answer(row, right, truth_kg, mass.value, low, high, code)
+    return Answer(
+        row,
+        right,
+        truth_kg,
+        mass.value,
+        low,
+        high,
+        code,
+    )
 
 
 # --- let go ------------------------------------------------------------------------------------------------------------
 
 
-def swung_calibration(robot: Robot, known: Sequence[tuple[Run, float]]) -> Robot:
+def swung_calibration(
+    robot: Robot,
+    known: Sequence[tuple[Run, float]],
+) -> Robot:
     """The robot as swings with known loads show it.
 
     Raises `RecordingError`: They are no calibration.
@@ -129,7 +149,10 @@ def real_swings(options: Any, folder: Path) -> Iterator[Answer]:
         robots[rig] = load_robot(pendulum(folder, rig, 0.001, arm_m, drive))
         request = Request(robots[rig], Options())
         for kg in STS_KG:
-            (runs[rig, kg],) = bag_runs(options.recordings / f"{rig}_{kg:.3f}kg", request)
+            (runs[rig, kg],) = bag_runs(
+                options.recordings / f"{rig}_{kg:.3f}kg",
+                request,
+            )
     sets = [known for count in (2, 3) for known in itertools.combinations(STS_KG, count)]
     for rig, known in itertools.product(LET_GO, sets[:: options.every]):
         robot = swung_calibration(
@@ -141,10 +164,19 @@ def real_swings(options: Any, folder: Path) -> Iterator[Answer]:
                 continue
             right = LET_GO[asked_rig] == LET_GO[rig]
             row = f"real, let go, {'the same servo' if right else 'another servo and arm'}"
-            yield asked(row, right, kg, partial(weigh, robot, [run], DISC))
+            yield asked(
+                row,
+                right,
+                kg,
+                partial(weigh, robot, [run], DISC),
+            )
 
 
-def longer_arm(machine: differing.Pendulum, load_kg: float, times: float) -> Run:
+def longer_arm(
+    machine: differing.Pendulum,
+    load_kg: float,
+    times: float,
+) -> Run:
     """A swing of the same drive train with an arm so many times as long."""
     usual = differing.ARM_M
     differing.ARM_M = times * usual
@@ -181,7 +213,12 @@ def swings(options: Any, folder: Path) -> Iterator[Answer]:
             load_kg = float(machine.rng.uniform(*BETWEEN_KG))
             run = longer_arm(machine, load_kg, times)
             row = f"simulated, let go, its arm {times:g} times as long"
-            yield asked(row, False, load_kg, partial(weigh, by, [run], DISC))
+            yield asked(
+                row,
+                False,
+                load_kg,
+                partial(weigh, by, [run], DISC),
+            )
 
 
 # --- under their own controllers ---------------------------------------------------------------------------------------
@@ -217,7 +254,12 @@ class Driven:
         )
 
 
-def servo_file(folder: Path, name: str, driven_by: str, delay: str) -> Robot:
+def servo_file(
+    folder: Path,
+    name: str,
+    driven_by: str,
+    delay: str,
+) -> Robot:
     """A real servo's, with its law."""
     path = pendulum(folder, name, 0.001, 0.1, "torque_constant_N_m_per_A: {value: 1.0, std: 0.4}")
     motor = f"resistance_ohm: 2.68, back_emf_V_s_per_rad: 1.0, driven_by: {driven_by}, "
@@ -294,7 +336,11 @@ def driven(options: Any, folder: Path) -> Iterator[Answer]:
         servo = servos.Servo(rng)
         late = replace(
             robot,
-            delay=replace(robot.delay, value=servo.delay_s, std=0.0),
+            delay=replace(
+                robot.delay,
+                value=servo.delay_s,
+                std=0.0,
+            ),
         )
         rows = {
             f"known {n}": (moved(servo, kg, rng), kg)
@@ -306,7 +352,15 @@ def driven(options: Any, folder: Path) -> Iterator[Answer]:
             **{f"its arm {times:g} times as long": {"ARM_M": times} for times in ARMS},
         }.items():
             kg = float(rng.uniform(0.2, 1.2))
-            rows[name] = (moved(servo, kg, rng, **changed), kg)
+            rows[name] = (
+                moved(
+                    servo,
+                    kg,
+                    rng,
+                    **changed,
+                ),
+                kg,
+            )
         machines.append((late, rows))
     for one, (late, rows) in enumerate(machines):
         own = Driven(
@@ -331,7 +385,10 @@ def driven(options: Any, folder: Path) -> Iterator[Answer]:
 PARTS = {each.__name__: each for each in (real_swings, real_driven, swings, driven)}
 
 
-def figures(row: str, answers: Sequence[Answer]) -> dict[str, Any]:
+def figures(
+    row: str,
+    answers: Sequence[Answer],
+) -> dict[str, Any]:
     """Numbers of a row."""
     given = [answer for answer in answers if answer.value_kg is not None]
     codes = Counter(answer.code for answer in answers if answer.value_kg is None)

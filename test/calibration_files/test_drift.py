@@ -41,7 +41,12 @@ def calibration(made: Moment | None) -> Calibration:
     stds = np.array([0.02, 0.003, 0.03, 0.002, 0.001])
     correlation = np.full((5, 5), 0.3) + 0.7 * np.eye(5)
     values = np.array([1.8, 0.05, 1.7, 0.01, 0.012])
-    return Calibration(KEYS, values, correlation * stds[:, None] * stds, made=made)
+    return Calibration(
+        KEYS,
+        values,
+        correlation * stds[:, None] * stds,
+        made=made,
+    )
 
 
 def growth(
@@ -154,7 +159,10 @@ def test_the_robot_file_states_the_drift() -> None:
         load_robot("open_manipulator_x", {"drift": {"friction_per_K": -0.5}})
 
 
-def temperatures(celsius: dict[str, float], namespace: str = "") -> RawMessage:
+def temperatures(
+    celsius: dict[str, float],
+    namespace: str = "",
+) -> RawMessage:
     """What a driver says."""
     types = message_types()
     dimension, layout = (
@@ -359,7 +367,13 @@ def test_pushes_are_chosen_until_it_is_nearly_as_good_as_new(yesterday: Path) ->
     sequence = load_sequence("empty_hand", fresh)
     made_s = fresh.calibration.made.time_s
     runs, then, now = chosen_refresh(
-        fresh, aged_robot(fresh, Moment(made_s + 30.0 * DAY_S)), 30.0, sequence
+        fresh,
+        aged_robot(
+            fresh,
+            Moment(made_s + 30.0 * DAY_S),
+        ),
+        30.0,
+        sequence,
     )
     assert now > 1.1 * then and 1 <= len(runs) <= 8
     check_sequence(replace(sequence, runs=tuple(runs)), fresh)

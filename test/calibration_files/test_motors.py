@@ -48,17 +48,28 @@ def states(namespace: str = "") -> list[RawMessage]:
     return messages
 
 
-def said(values: Mapping[str, str], namespace: str = "") -> RawMessage:
+def said(
+    values: Mapping[str, str],
+    namespace: str = "",
+) -> RawMessage:
     """What a driver says of its motors."""
     types = message_types()
     pair = types.types["diagnostic_msgs/msg/KeyValue"]
     message = types.types[STATUS](
         0, "driver: motors", "", "", [pair(key, value) for key, value in values.items()]
     )
-    return RawMessage(f"{namespace}/motors", STATUS, 5, bytes(types.serialize_cdr(message, STATUS)))
+    return RawMessage(
+        f"{namespace}/motors",
+        STATUS,
+        5,
+        bytes(types.serialize_cdr(message, STATUS)),
+    )
 
 
-def told(motors: Mapping[str, MotorIdentity], namespace: str = "") -> RawMessage:
+def told(
+    motors: Mapping[str, MotorIdentity],
+    namespace: str = "",
+) -> RawMessage:
     return said(
         {joint: motor.as_text() for joint, motor in motors.items()},
         namespace,
@@ -75,7 +86,10 @@ def motors_of(path: Path, state_topic: str | None = None) -> Motors:
         return source.motors(state_topic)
 
 
-def notes_of(path: Path, robot: Robot) -> tuple[str, ...]:
+def notes_of(
+    path: Path,
+    robot: Robot,
+) -> tuple[str, ...]:
     with BagSource(path) as source:
         return motors_notes(source, robot, None)
 
@@ -123,7 +137,10 @@ def test_the_same_motors(tmp_path: Path, calibrated: Robot) -> None:
     ],
 )
 def test_another_arm_is_refused(
-    tmp_path: Path, calibrated: Robot, change: dict[str, int], words: str
+    tmp_path: Path,
+    calibrated: Robot,
+    change: dict[str, int],
+    words: str,
 ) -> None:
     other = {**ARM, "joint3": replace(ELBOW, **change)}
     path = bag(tmp_path / "bag", *states(), told(other))
@@ -178,7 +195,10 @@ def test_of_two_arms_in_one_bag_each_has_its_own(tmp_path: Path) -> None:
 
 
 def test_one_calibration_is_of_one_arm(tmp_path: Path) -> None:
-    other = {**ARM, "joint2": replace(ARM["joint2"], homing_offset=9)}
+    other = {
+        **ARM,
+        "joint2": replace(ARM["joint2"], homing_offset=9),
+    }
     one = bag(tmp_path / "one", *states(), told(ARM))
     two = bag(tmp_path / "two", *states(), told(other))
     with pytest.raises(

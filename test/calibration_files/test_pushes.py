@@ -180,7 +180,12 @@ def test_a_robot_of_ones_own_is_extended_by_the_way_to_its_file(tmp_path: Path) 
     (tmp_path / "calibrations").mkdir()
     path = tmp_path / "calibrations" / "mine_today.yaml"
     overrides = {"joints.joint3.motor.encoder_noise_rad": 0.0007}
-    write_calibration(path, load_robot(own).with_overrides(overrides), small(), overrides)
+    write_calibration(
+        path,
+        load_robot(own).with_overrides(overrides),
+        small(),
+        overrides,
+    )
     assert "extends: ../robots/mine.yaml" in path.read_text()
     robot = load_robot(path)
     assert robot.name == "mine" and robot.drive_trains["joint3"].encoder_noise == 0.0007
@@ -401,7 +406,10 @@ def test_from_bags_to_a_mass_by_the_command_line(
 @pytest.mark.long
 @pytest.mark.parametrize("stated_kg", [0.1, 0.12])
 def test_a_reference_that_was_stated_wrong_is_told(
-    bags: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], stated_kg: float
+    bags: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    stated_kg: float,
 ) -> None:
     """All are 100 g."""
     empty = [str(folder / "bag_mcap") for folder in sorted(bags.glob("realistic_s00_empty_*"))]
@@ -438,7 +446,12 @@ def test_what_was_stated_of_the_arm_is_carried_and_need_not_be_said_again(
     finger = "gripper_left_joint"
     stated = {"held.gripper_left_joint": 0.01, "payload.frame": "link5"}
     path = tmp_path / "arm.yaml"
-    calibrate_from_bags(empty[:4], {}, Options(settings=stated), path)
+    calibrate_from_bags(
+        empty[:4],
+        {},
+        Options(settings=stated),
+        path,
+    )
     request = request_of(Options(calibration=path))
     assert request.robot.payload_frame == "link5" and request.robot.held == {finger: 0.01}
     assert (
@@ -456,7 +469,12 @@ def test_what_was_stated_of_the_arm_is_carried_and_need_not_be_said_again(
     others = [column for column, name in enumerate(record.names) if name != finger]
     names = tuple(record.names[column] for column in others)
     without = replace(
-        recording, joints=JointRecord(record.times_ns, names, record.position[:, others])
+        recording,
+        joints=JointRecord(
+            record.times_ns,
+            names,
+            record.position[:, others],
+        ),
     )
     assert runs_or_motion(without, request)[0].held[finger] == 0.01
     now = replace(request, locked={finger: 0.005})
@@ -521,7 +539,12 @@ def test_the_output_is_checked_before_the_work(bags: Path, tmp_path: Path) -> No
 def test_an_older_file_stays_where_nothing_was_learnt(bags: Path, written: Path) -> None:
     before = written.read_text()
     stuck = bags / "friction_s00_fixed_random_a_joint3" / "bag_mcap"
-    estimate = calibrate_from_bags([stuck], {}, output=written, force=True)
+    estimate = calibrate_from_bags(
+        [stuck],
+        {},
+        output=written,
+        force=True,
+    )
     assert estimate.calibration is None and written.read_text() == before
 
 
@@ -536,7 +559,10 @@ def test_a_baseline_shows_drift(bags: Path, tmp_path: Path) -> None:
     bag = bags / "realistic_s00_fixed_light_ball_20g_joint3" / "bag_mcap"
     alone = replay([bag], Options(calibration=path))
     empty = bags / "realistic_s00_empty_04_joint3" / "bag_mcap"
-    fine = replay([bag], Options(calibration=path, baseline=(empty,)))
+    fine = replay(
+        [bag],
+        Options(calibration=path, baseline=(empty,)),
+    )
     a, b = (estimate.value("payload_mass") for estimate in (alone, fine))
     assert (
         fine.verdict.value == "accepted"
@@ -544,7 +570,10 @@ def test_a_baseline_shows_drift(bags: Path, tmp_path: Path) -> None:
         and b.std <= 1.02 * a.std
     )
     loaded = bags / "realistic_s00_fixed_light_cube_10g_joint3" / "bag_mcap"
-    drifted = replay([bag], Options(calibration=path, baseline=(loaded,)))
+    drifted = replay(
+        [bag],
+        Options(calibration=path, baseline=(loaded,)),
+    )
     assert drifted.verdict.value == "rejected" and drifted.value("payload_mass").value is None
     found = re.match(r"drift: the empty hand now weighs \+([0-9.]+) g", drifted.reasons[0])
     assert found is not None and abs(float(found[1]) - 10.0) < 2.0

@@ -73,7 +73,10 @@ class Row:
     @property
     def words(self) -> tuple[str, ...]:
         """The command line, with names in braces for files."""
-        return (*(self.command or self.of.command), *self.more)
+        return (
+            *(self.command or self.of.command),
+            *self.more,
+        )
 
 
 def all_rows() -> tuple[Row, ...]:
@@ -98,7 +101,12 @@ def files_of(row: Row, made: Path, folder: Path) -> Files:
         mine = [(bends[each.name], each.parameters) for each in row.bends if name in each.of]
         if mine:
             seed = zlib.crc32(f"{row.name} {name}".encode())
-            files[name] = bent_bag(files[name], folder / name, mine, seed)
+            files[name] = bent_bag(
+                files[name],
+                folder / name,
+                mine,
+                seed,
+            )
     return files if row.make is None else row.make(folder, files)
 
 

@@ -7,7 +7,10 @@ import pytest
 from proprio_ros.inputs.forms import Field, FormError, Number, Part, Text, section, under
 
 MASS = Number("of it", "kg", 0.0, 10.0)
-INNER = {"mass": Field(MASS), "name": Field(Text(), "none")}
+INNER = {
+    "mass": Field(MASS),
+    "name": Field(Text(), "none"),
+}
 OUTER = {
     "body": Field(Part("a body", by=lambda value: section(value, INNER))),
     "note": Text(),

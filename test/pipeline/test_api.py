@@ -60,7 +60,11 @@ def test_the_package_alone_loads_nothing_heavy() -> None:
         "import sys, proprio_ros; assert 'weigh' in dir(proprio_ros); "
         "loaded = {'numpy', 'warp', 'scipy', 'matplotlib', 'pandas', 'rosbags'} & set(sys.modules); assert not loaded, loaded"
     )
-    subprocess.run([sys.executable, "-c", code], cwd=ROOT, check=True)
+    subprocess.run(
+        [sys.executable, "-c", code],
+        cwd=ROOT,
+        check=True,
+    )
 
 
 @pytest.mark.long
@@ -78,7 +82,11 @@ def test_the_names_are_calls_in_every_order(before: str) -> None:
         "import proprio_ros, proprio_ros.pipeline.calibrate\n"
         "assert all(type(c).__name__ == 'function' for c in (calibrate, check, drift, plan, weigh, proprio_ros.calibrate))"
     )
-    subprocess.run([sys.executable, "-c", code], cwd=ROOT, check=True)
+    subprocess.run(
+        [sys.executable, "-c", code],
+        cwd=ROOT,
+        check=True,
+    )
 
 
 def test_no_module_takes_the_name_of_a_call() -> None:
@@ -134,7 +142,10 @@ def test_facts_by_section_or_by_dotted_key(result: Weighing) -> None:
         BAG,
         settings={"payload.shape": "sphere", "payload.size": np.float64(0.043)},
     )
-    arrays = weigh(BAG, payload={**BALL_FACTS, "com": np.zeros(3)})
+    arrays = weigh(
+        BAG,
+        payload={**BALL_FACTS, "com": np.zeros(3)},
+    )
     assert dotted.mass == result.mass and arrays.mass == pytest.approx(result.mass, rel=1e-9)
     with pytest.raises(TypeError, match="calibratoin="):
         weigh(BAG, calibratoin="arm.yaml")
@@ -192,7 +203,13 @@ WORDS = [
     int,
     iter(["a"]),
 ]
-NO_NUMBERS = ["no such", "", None, float("nan"), [0.1, True]]
+NO_NUMBERS = [
+    "no such",
+    "",
+    None,
+    float("nan"),
+    [0.1, True],
+]
 TEXTS = ("calibration", "robot", "driver", "output", "state_topic", "command_topic", "effort_unit")
 ALSO_WRONG: dict[str, list[Any]] = {
     **{name: [None, *WORDS] for name in ("probe", "solver", "profile")},
@@ -203,7 +220,14 @@ ALSO_WRONG: dict[str, list[Any]] = {
     "count": [*NO_NUMBERS, [], -1, 0, 1.5],
     "seconds": [*NO_NUMBERS, [], -1.0],
     "force": [None, 0, 1, "no", [], {}],
-    "progress": [None, 5, "print", [], lambda: None, NoPath],
+    "progress": [
+        None,
+        5,
+        "print",
+        [],
+        lambda: None,
+        NoPath,
+    ],
     "payload": [None, 5, "x", []],
 }
 

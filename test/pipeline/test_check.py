@@ -36,7 +36,11 @@ def pushed() -> Recording:
     return bag_recording(PUSH / "bag_mcap", Request(ARM))
 
 
-def written(folder: Path, record: JointRecord, inputs: InputRecord | None) -> Path:
+def written(
+    folder: Path,
+    record: JointRecord,
+    inputs: InputRecord | None,
+) -> Path:
     # as joint states say it: what a bag's effort is
     effort = record.reported_effort
     write_recording(
@@ -50,7 +54,11 @@ def written(folder: Path, record: JointRecord, inputs: InputRecord | None) -> Pa
     return folder / "bag"
 
 
-def of_joint_states(record: JointRecord, rows: slice, columns: list[int]) -> JointRecord:
+def of_joint_states(
+    record: JointRecord,
+    rows: slice,
+    columns: list[int],
+) -> JointRecord:
     tables = {
         name: None if (values := getattr(record, name)) is None else values[rows][:, columns]
         for name in ("position", "velocity", "effort", "current", "reported_effort")
@@ -104,7 +112,13 @@ def test_a_joint_that_is_missing_is_a_problem_in_the_words_of_replay(
     recording = pushed()
     columns = [column for column, name in enumerate(recording.joints.names) if name != without]
     bag = written(
-        tmp_path, of_joint_states(recording.joints, slice(None), columns), recording.inputs
+        tmp_path,
+        of_joint_states(
+            recording.joints,
+            slice(None),
+            columns,
+        ),
+        recording.inputs,
     )
     check = looked_into(bag)
     with pytest.raises(ProprioError) as refused:
@@ -127,7 +141,12 @@ def test_a_push_too_short_for_a_run_is_said(tmp_path: Path) -> None:
 
 def test_what_nobody_recorded_is_asked_for(tmp_path: Path) -> None:
     recording = pushed()
-    record = replace(recording.joints, effort=None, current=None, reported_effort=None)
+    record = replace(
+        recording.joints,
+        effort=None,
+        current=None,
+        reported_effort=None,
+    )
     check = looked_into(written(tmp_path, record, None))
     assert check.usable == 0 and check.input is None
     assert any("what the motors gave, too" in advice for advice in check.record)

@@ -46,11 +46,19 @@ def test_mujoco_has_the_torques_that_were_learnt(robot: Robot) -> None:
     count = len(known.joints)
     rng = np.random.default_rng(4)
     assert set(learnt.joints) == set(known.joints)
-    reduced = robot.model.lock(list(known.joints), {}, robot.gravity)
+    reduced = robot.model.lock(
+        list(known.joints),
+        {},
+        robot.gravity,
+    )
     for pose in rng.uniform(-1.5, 1.5, (3, count)):
         data.qpos[:], data.qvel[:] = pose, 0.0
         mujoco.mj_forward(model, data)
-        motion = kinematics(reduced, pose[None], np.zeros((1, count)))
+        motion = kinematics(
+            reduced,
+            pose[None],
+            np.zeros((1, count)),
+        )
         expected = np.zeros(count)
         for body in range(count):
             own = (
@@ -94,7 +102,10 @@ def test_without_motions_friction_is_that_of_the_drive_trains() -> None:
     assert np.allclose(model.body_mass[1:], 1.1 * bare.body_mass[1:], rtol=1e-6)
 
 
-def test_the_command_writes_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_writes_it(
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     from proprio_ros.cli import main
 
     output = tmp_path / "learnt.urdf"

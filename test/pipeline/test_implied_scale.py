@@ -56,7 +56,11 @@ def implied(robot: Robot, kind: str, factor: float) -> CalibrationEstimate:
     ],
 )
 def test_a_reference_is_put_against_what_is_known(
-    robot: Robot, kind: str, factor: float, verdict: Verdict, reasons: int
+    robot: Robot,
+    kind: str,
+    factor: float,
+    verdict: Verdict,
+    reasons: int,
 ) -> None:
     """Of pushes, and of free responses. Torque to 5 % and weight to 2 % together are known to 1.86 %: five times that is 9.3 %."""
     answer = implied(robot, kind, factor)

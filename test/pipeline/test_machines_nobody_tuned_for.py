@@ -48,11 +48,17 @@ real_machines = [
 @cache
 def real(machine: str) -> list[Answer]:
     # of the UR10e by the first of its three empty recordings: 42 of 126 questions
-    fewer = {"real_ur10e": {"at_most": 42}, "real_swings": {"every": 2}}
+    fewer = {
+        "real_ur10e": {"at_most": 42},
+        "real_swings": {"every": 2},
+    }
     return real_answers(machine, REAL, **fewer.get(machine, {}))
 
 
-def hold(answers: list[Answer], at_least: float = 1.0) -> None:
+def hold(
+    answers: list[Answer],
+    at_least: float = 1.0,
+) -> None:
     """That these are answered, no interval is more than four standard deviations off, and so many hold."""
     given = [answer for answer in answers if answer.given]
     worst = max(given, key=lambda answer: answer.sigmas)
@@ -163,11 +169,20 @@ def test_an_arm_by_three_empty_recordings_that_differ(tmp_path: Path) -> None:
     answers = []
     for seed in (1004, 1006, 1016):
         arm = DifferingArm(seed, SIX, 12.0)
-        known = fit_empty(robot, [arm.recorded(f"empty {n}") for n in range(3)])
+        known = fit_empty(
+            robot,
+            [arm.recorded(f"empty {n}") for n in range(3)],
+        )
         held = arm.held()
         asked = arm.recorded("asked", held)
         calibrated = replace(robot, motion_calibration=known)
-        ask = partial(identify_in_motion, calibrated, [asked], [], PayloadFacts())
+        ask = partial(
+            identify_in_motion,
+            calibrated,
+            [asked],
+            [],
+            PayloadFacts(),
+        )
         answers.append(said("3 empty", held[0], ask, f"arm {seed}"))
     assert all(answer.given for answer in answers), answers
     hold(answers)
@@ -198,7 +213,12 @@ def test_a_driver_s_unit_contradicts_the_command(tmp_path: Path) -> None:
         ProprioError, match=r"1\.7[789] times the current of /current_command.*--effort-unit"
     ):
         replay(
-            bag_in(PUSH), Options(robot="open_manipulator_x", driver="ur_current", settings=BALL)
+            bag_in(PUSH),
+            Options(
+                robot="open_manipulator_x",
+                driver="ur_current",
+                settings=BALL,
+            ),
         )
 
 
@@ -235,7 +255,10 @@ def test_a_calibration_contradicts_the_robot_file_s_priors(
     with (tmp_path / "bent.yaml").open("w") as stream:
         yaml.dump(content, stream)
     with pytest.raises(ProprioError, match=words):
-        replay(bag_in(PUSH), Options(calibration=tmp_path / "bent.yaml", settings=BALL))
+        replay(
+            bag_in(PUSH),
+            Options(calibration=tmp_path / "bent.yaml", settings=BALL),
+        )
 
 
 def test_an_estimate_below_nothing_is_known_no_better_than_one_at_nothing() -> None:

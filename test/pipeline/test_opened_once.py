@@ -133,7 +133,11 @@ def test_a_motion_with_a_baseline(tmp_path: Path, opened: Counter[str]) -> None:
     write_recording(loaded, swinging(0.3))
     write_recording(empty, swinging(0.0, 9.0))
     robot = pendulum(tmp_path)
-    options = Options(robot=str(robot), effort_unit="N.m", baseline=(empty,))
+    options = Options(
+        robot=str(robot),
+        effort_unit="N.m",
+        baseline=(empty,),
+    )
     replay(loaded, options)
     assert once(opened, loaded, empty)
 
@@ -168,12 +172,19 @@ def test_a_calibration(bags: Path, opened: Counter[str]) -> None:
 
 
 @pytest.mark.parametrize("stated", ["N.m", None])
-def test_a_check(tmp_path: Path, opened: Counter[str], stated: str | None) -> None:
+def test_a_check(
+    tmp_path: Path,
+    opened: Counter[str],
+    stated: str | None,
+) -> None:
     """Of what can be read as it is asked, and of what only its joint states can be read of."""
     bag = tmp_path / "bag"
     write_recording(bag, swinging(0.3))
     robot = pendulum(tmp_path)
-    (name, [found]) = check_bags(bag, Options(robot=str(robot), effort_unit=stated))
+    (name, [found]) = check_bags(
+        bag,
+        Options(robot=str(robot), effort_unit=stated),
+    )
     assert name == "servo" and found.joints == ("pendulum",)
     assert bool(found.problem) == (stated is None)
     assert once(opened, bag)
@@ -191,7 +202,12 @@ def test_an_episode(tmp_path: Path, opened: Counter[str]) -> None:
         {},
         "measured current",
     )
-    folder = write_data_set(tmp_path / "set", [motion], [1.0], version="v2.1")
+    folder = write_data_set(
+        tmp_path / "set",
+        [motion],
+        [1.0],
+        version="v2.1",
+    )
     units = tmp_path / "units.yaml"
     units.write_text("title: ours\neffort_unit: N.m\ncolumns: {position_unit: rad}\n")
     options = Options(robot=str(pendulum(tmp_path)), driver=units)

@@ -242,7 +242,10 @@ def test_several_bags_of_one_object_are_pooled(recordings: Path) -> None:
         replay([bag_in(folder)], Options(settings=settings)).value("payload_mass").std
         for folder in folders
     ]
-    pooled = replay([bag_in(folder) for folder in folders], Options(settings=settings))
+    pooled = replay(
+        [bag_in(folder) for folder in folders],
+        Options(settings=settings),
+    )
     assert pooled.runs == 3 and len(pooled.run_fits) == 3 and pooled.verdict is Verdict.ACCEPTED
     assert pooled.value("payload_mass").std < min(alone)
     assert abs(error_and_hit(pooled, truth)[0]) < 3e-4
@@ -286,7 +289,10 @@ def test_profile_paper_on_a_bag(bags: Path) -> None:
 
 def test_an_unknown_centre_of_mass_is_estimated_where_it_is_excited(bags: Path) -> None:
     folder = bags / LOADED
-    settings = {**known_drive_train(truth_of(folder)), "payload.com_std": [0.02, 0.02, 0.02]}
+    settings = {
+        **known_drive_train(truth_of(folder)),
+        "payload.com_std": [0.02, 0.02, 0.02],
+    }
     estimate = weighed(folder, settings)
     com = estimate.value("payload_com")
     assert com.unit == "m" and com.value[1] is None and "y" in com.reason
@@ -325,7 +331,10 @@ def test_no_command_topic(bags: Path, tmp_path: Path) -> None:
             "robot.delay_s": {"value": 0.0, "std": 0.0},
         }
     )
-    estimate = replay([tmp_path / "bag"], replace(options, effort_unit="N.m"))
+    estimate = replay(
+        [tmp_path / "bag"],
+        replace(options, effort_unit="N.m"),
+    )
     error, hit = error_and_hit(estimate, truth)
     assert estimate.verdict is Verdict.ACCEPTED and abs(error) < 2e-3 and hit
     assert estimate.run_fits[0].source == "measured effort"
@@ -362,7 +371,10 @@ def test_a_held_joint_that_is_missing_must_be_stated(bags: Path, tmp_path: Path)
     write_recording(tmp_path / "bag", replace(original, joints=without))
     with pytest.raises(RecordingError, match=r"gripper_left_joint.*--set held\.gripper_left_joint"):
         replay([tmp_path / "bag"])
-    estimate = replay([tmp_path / "bag"], Options(settings={"held.gripper_left_joint": 0.0}))
+    estimate = replay(
+        [tmp_path / "bag"],
+        Options(settings={"held.gripper_left_joint": 0.0}),
+    )
     assert abs(estimate.value("payload_mass").value - 0.05) < 1e-3
 
 
@@ -380,7 +392,10 @@ def test_a_probe_that_starts_in_motion_is_rejected(bags: Path, tmp_path: Path) -
         times_ns=original.inputs.times_ns[rows],
         current_A=original.inputs.current_A[rows],
     )
-    write_recording(tmp_path / "bag", replace(original, joints=late, inputs=inputs))
+    write_recording(
+        tmp_path / "bag",
+        replace(original, joints=late, inputs=inputs),
+    )
     estimate = replay([tmp_path / "bag"])
     assert estimate.verdict is Verdict.REJECTED
     assert any(reason.startswith("start velocity") for reason in estimate.reasons)
@@ -453,7 +468,11 @@ def test_a_pendulum_of_ones_own(tmp_path: Path) -> None:
     )
     write_recording(tmp_path / "swing", recording, storage="sqlite3")
     estimate = replay(
-        [tmp_path / "swing"], Options(robot="pendulum", settings={"payload.shape": "point"})
+        [tmp_path / "swing"],
+        Options(
+            robot="pendulum",
+            settings={"payload.shape": "point"},
+        ),
     )
     value = estimate.value("payload_mass")
     assert estimate.verdict is Verdict.ACCEPTED and estimate.robot == "pendulum"
@@ -499,7 +518,10 @@ def test_a_damaged_number_is_left_out(bags: Path, tmp_path: Path) -> None:
     hit = int(np.searchsorted(recording.joints.times_ns, run.onset_ns)) + 8
     position = recording.joints.position.copy()
     position[hit, recording.joints.column("joint3")] += 2.0
-    damaged = replace(recording, joints=replace(recording.joints, position=position))
+    damaged = replace(
+        recording,
+        joints=replace(recording.joints, position=position),
+    )
     write_recording(tmp_path / "damaged", damaged, "sqlite3")
     (cleaned,) = bag_runs(tmp_path / "damaged", Request(robot))
     assert (

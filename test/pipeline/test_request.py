@@ -50,7 +50,10 @@ def test_all_that_options_name_is_in_the_request() -> None:
         ({"robot.arm_scal": 1.0}, "arm_scal"),
     ],
 )
-def test_what_nothing_understands_is_refused(settings: dict[str, object], says: str) -> None:
+def test_what_nothing_understands_is_refused(
+    settings: dict[str, object],
+    says: str,
+) -> None:
     for read in (request_of, read_request):
         with pytest.raises((ConfigurationError, RobotError), match=says):
             read(Options(settings=settings))

@@ -58,7 +58,11 @@ def runs_in(recording: Recording) -> tuple[Run, ...]:
     return found
 
 
-def asked(arm: Robot, recording: Recording, folder: Path = BALL) -> Estimate:
+def asked(
+    arm: Robot,
+    recording: Recording,
+    folder: Path = BALL,
+) -> Estimate:
     return weigh(arm, runs_in(recording), simulated.facts_of(folder))
 
 
@@ -76,7 +80,10 @@ def test_a_zero_that_one_pose_does_not_tell_is_counted(
 ) -> None:
     """As far as it is stated that zeros move: here by 5 mrad, where the file of an arm with absolute encoders says 1."""
     loose = replace(arm, zero_repeat=0.005)
-    estimate = asked(loose, bends.zero_off(recorded(BALL), joint, zero_rad))
+    estimate = asked(
+        loose,
+        bends.zero_off(recorded(BALL), joint, zero_rad),
+    )
     mass = estimate.values[0]
     assert estimate.verdict is Verdict.ACCEPTED
     assert abs(mass.value - 0.02) < 3.0 * mass.std
@@ -93,7 +100,11 @@ def test_an_answer_says_how_far_it_leans_on_a_zero(arm: Robot, folder: Path) -> 
 
 @pytest.mark.parametrize("zero_rad", [0.05, -0.05])
 def test_a_zero_that_the_push_itself_shows_is_refused(arm: Robot, zero_rad: float) -> None:
-    estimate = asked(arm, bends.zero_off(recorded(LOWERED), "joint3", zero_rad), LOWERED)
+    estimate = asked(
+        arm,
+        bends.zero_off(recorded(LOWERED), "joint3", zero_rad),
+        LOWERED,
+    )
     assert estimate.verdict is Verdict.REJECTED and "other_zero" in codes(estimate)
     assert any("joint3" in reason for reason in estimate.reasons if reason.code == "other_zero")
 
@@ -157,7 +168,11 @@ def test_an_answer_leans_as_far_as_moving_the_prior_moves_it(arm: Robot) -> None
         facts = simulated.facts_of(folder)
         (run,) = runs_in(recorded(folder))
 
-        def mass_of(robot: Robot, run: Run = run, facts: object = facts) -> Assessment:
+        def mass_of(
+            robot: Robot,
+            run: Run = run,
+            facts: object = facts,
+        ) -> Assessment:
             prepared = [prepare_run(robot, run, None, facts)]  # type: ignore[arg-type]
 
             def solve(role: Role, start: object = None) -> object:
@@ -188,7 +203,10 @@ def test_an_answer_leans_as_far_as_moving_the_prior_moves_it(arm: Robot) -> None
 def test_a_held_joint_that_jumps_is_refused_by_name(
     arm: Robot, joint: str, step_rad: float
 ) -> None:
-    estimate = asked(arm, bends.step(recorded(BALL), joint, step_rad, 0.3))
+    estimate = asked(
+        arm,
+        bends.step(recorded(BALL), joint, step_rad, 0.3),
+    )
     assert estimate.values[0].value is None and "position_jumps" in codes(estimate)
     assert any(f"the reading of {joint}, which is held, jumps" in each for each in estimate.reasons)
 
@@ -236,7 +254,11 @@ def test_a_clock_that_steps_is_told_from_a_jump_or_named_beside_it(
     arm: Robot, late_s: float
 ) -> None:
     (run,) = runs_in(recorded(LOWERED))
-    times_s = np.where(run.times_s > 0.2, run.times_s + late_s, run.times_s)
+    times_s = np.where(
+        run.times_s > 0.2,
+        run.times_s + late_s,
+        run.times_s,
+    )
     estimate = weigh(
         arm,
         [replace(run, times_s=times_s)],
@@ -252,7 +274,10 @@ def test_a_clock_that_steps_is_told_from_a_jump_or_named_beside_it(
 @pytest.mark.parametrize("step_rad", [0.003, -0.003])
 def test_two_counts_of_an_encoder_are_no_jump(arm: Robot, step_rad: float, at_s: float) -> None:
     """Where chance hardly fails to explain a fit, so small a step would; friction that sticks does the same."""
-    estimate = asked(arm, bends.step(recorded(BALL), "joint3", step_rad, at_s))
+    estimate = asked(
+        arm,
+        bends.step(recorded(BALL), "joint3", step_rad, at_s),
+    )
     mass = estimate.values[0]
     assert "position_jumps" not in codes(estimate)
     assert estimate.verdict is Verdict.ACCEPTED and abs(mass.value - 0.02) < 3.0 * mass.std
@@ -280,7 +305,11 @@ def test_a_command_that_is_not_what_flowed_is_refused_though_it_never_settles(
 @pytest.mark.parametrize("seed", range(3))
 def test_noise_that_only_the_command_has_counts(arm: Robot, seed: int) -> None:
     recording = recorded(CUBE)
-    noisy = bends.noisy_command(recording, 0.015, np.random.default_rng(seed))
+    noisy = bends.noisy_command(
+        recording,
+        0.015,
+        np.random.default_rng(seed),
+    )
     (run,) = runs_in(noisy)
     facts = simulated.facts_of(CUBE)
     assert prepare_run(arm, runs_in(recording)[0], None, facts).current_torque_std == 0.0
@@ -328,7 +357,11 @@ def test_a_calibration_that_was_edited_says_so(arm: Robot, tmp_path: Path) -> No
     assert load_robot(file).calibration is not None
     whole = file.read_text()
     value = arm.calibration.quantities["coulomb", "joint3"].value
-    edited = whole.replace(f"value: {value:.6f}"[:14], f"value: {0.9 * value:.6f}"[:14], 1)
+    edited = whole.replace(
+        f"value: {value:.6f}"[:14],
+        f"value: {0.9 * value:.6f}"[:14],
+        1,
+    )
     assert edited != whole
     file.write_text(edited)
     with pytest.raises(

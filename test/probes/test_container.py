@@ -73,7 +73,10 @@ def realistic(
     return level_of(bags, "realistic_s00_")
 
 
-def error_and_hit(estimate: Estimate, mass: float) -> tuple[float, bool]:
+def error_and_hit(
+    estimate: Estimate,
+    mass: float,
+) -> tuple[float, bool]:
     value = estimate.value("sphere_mass")
     assert estimate.verdict is Verdict.ACCEPTED, estimate.reasons
     assert isinstance(value.value, float)
@@ -110,7 +113,10 @@ def test_every_recording(
     results = []
     for folder in level.folders("container_*"):
         results.append(
-            error_and_hit(level.find([folder]), truth_of(folder)["container"]["sphere_mass"])
+            error_and_hit(
+                level.find([folder]),
+                truth_of(folder)["container"]["sphere_mass"],
+            )
         )
     off = 1e3 * np.array([error for error, _ in results])
     assert len(off) == 9
@@ -312,7 +318,10 @@ def test_other_solvers_are_refused(realistic: Boxes) -> None:
     folder = realistic.folders("container_sphere_12g_joint3*")[0]
     for given in ({"solver": "adam"}, {"profile": "paper"}):
         with pytest.raises(ConfigurationError, match="only there for --probe payload"):
-            replay([bag_in(folder)], Options(probe="container", **given))
+            replay(
+                [bag_in(folder)],
+                Options(probe="container", **given),
+            )
 
 
 # --- the problem itself ----------------------------------------------------------------------------------------------
@@ -339,7 +348,11 @@ def test_where_a_sphere_settles() -> None:
     deep = np.array([5.0, 0.0, -8.0]) / box.contact_frequency**2
     np.testing.assert_allclose(
         tilted.mean,
-        [0.02 + deep[0], 0.0, -0.01 + deep[2]],
+        [
+            0.02 + deep[0],
+            0.0,
+            -0.01 + deep[2],
+        ],
     )
     assert len(tilted.guesses) == 1, (
         "along the joint's axis it may be anywhere, and it makes no difference"
@@ -399,12 +412,26 @@ def problem_of(
     priors = [
         start_prior(sphere_run(level.robot, r, facts, nothing), facts, r.rest.value) for r in runs
     ]
-    unknowns = container_unknowns(level.robot, everything, rolling, facts, priors, Role.FREE)
+    unknowns = container_unknowns(
+        level.robot,
+        everything,
+        rolling,
+        facts,
+        priors,
+        Role.FREE,
+    )
     seen = [
         *(tracks or [None] * len(runs)),
         *[None] * len(empty),
     ]
-    return ContainerProblem(level.robot, everything, facts, rolling, unknowns, tracks=seen)
+    return ContainerProblem(
+        level.robot,
+        everything,
+        facts,
+        rolling,
+        unknowns,
+        tracks=seen,
+    )
 
 
 @pytest.mark.parametrize(

@@ -90,7 +90,10 @@ def test_one_sample_after_the_other_tells_what_all_tell_together(chooser: Sphere
     covariance = chooser._covariance
     values = problem.base.copy()
     values[problem.index["sphere_mass"]] = 0.02
-    _, v, dq = problem.simulate(values[None], problem.free)
+    _, v, dq = problem.simulate(
+        values[None],
+        problem.free,
+    )
     weight = (np.arange(v.shape[2]) < 20) / problem.runs[0].sigma[0] * np.ones((len(pushes), 1))
     free = [problem.unknowns[row] for row in problem.free]
     own = [
@@ -131,7 +134,9 @@ class Weighed:
 
 
 def weighed(
-    held: Container | Payload, until: Until = UNTIL, empty: Payload | None = None
+    held: Container | Payload,
+    until: Until = UNTIL,
+    empty: Payload | None = None,
 ) -> Weighed:
     """Weigh what is held until sure, after runs with the empty container, or with its mass stated where there are none."""
     pytest.importorskip("mujoco")
@@ -173,14 +178,26 @@ def weighed(
         if (run := decisions[-1].run) is not None:
             hand.make(chooser.sequence_of(run))
     return Weighed(
-        decisions, promised, find_sphere(robot, hand.runs, job.container, job.solving, baseline)
+        decisions,
+        promised,
+        find_sphere(
+            robot,
+            hand.runs,
+            job.container,
+            job.solving,
+            baseline,
+        ),
     )
 
 
 @pytest.mark.long
 def test_it_ends_when_the_sphere_is_sure() -> None:
     box = Container(SHELL_KG, sphere_mass_kg=0.012)
-    it = weighed(box, Until(1.5e-3, "kg", 60.0), box.emptied)
+    it = weighed(
+        box,
+        Until(1.5e-3, "kg", 60.0),
+        box.emptied,
+    )
     half = half_of(it.answer)
     mass = it.answer.value("sphere_mass").value
     assert it.ended_by == "target" and it.decisions[-1].reason.startswith("sure: +-")
@@ -195,7 +212,10 @@ def test_it_ends_when_the_sphere_is_sure() -> None:
 @pytest.mark.long
 def test_a_push_tells_what_was_foreseen() -> None:
     """On the arm of another simulator: what is known after a push is what its linearisation said before."""
-    it = weighed(Container(SHELL_KG, sphere_mass_kg=0.03), Until(1e-4, "kg", 60.0))
+    it = weighed(
+        Container(SHELL_KG, sphere_mass_kg=0.03),
+        Until(1e-4, "kg", 60.0),
+    )
     assert it.ended_by == "worth" and "a tenth of what is missing" in it.decisions[-1].reason
     # the first is foreseen for no mass in particular
     assert len(it.promised) >= 3 and 0.5 < it.promised[0][1] / it.promised[0][0] < 2.0
@@ -204,7 +224,10 @@ def test_a_push_tells_what_was_foreseen() -> None:
 
 @pytest.mark.long
 def test_an_empty_container_is_found_to_be_empty() -> None:
-    it = weighed(Container(SHELL_KG).emptied, Until(3e-3, "kg", 60.0))
+    it = weighed(
+        Container(SHELL_KG).emptied,
+        Until(3e-3, "kg", 60.0),
+    )
     half = half_of(it.answer)
     mass = it.answer.value("sphere_mass").value
     assert it.ended_by == "target"

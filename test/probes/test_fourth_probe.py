@@ -140,13 +140,19 @@ def test_the_law_bends_the_trajectory_as_its_tangent_says(registered: None) -> N
 
 @pytest.mark.long
 def test_its_part_is_in_the_report(registered: None, bags: Path, tmp_path: Path) -> None:
-    estimate = replay([bags / BAGS[0]], Options(probe="spring"))
+    estimate = replay(
+        [bags / BAGS[0]],
+        Options(probe="spring"),
+    )
     write_report(estimate, tmp_path / "page.html")
     page = (tmp_path / "page.html").read_text()
     assert "<h2>The spring</h2>" in page and "stiffness of the spring" in page
 
 
-def test_the_command_line_offers_it(registered: None, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_line_offers_it(
+    registered: None,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     for command in ("replay", "demo"):
         with pytest.raises(SystemExit):
             main([command, "--help"])
@@ -189,7 +195,12 @@ def test_the_demo_shows_it(registered: None, tmp_path: Path) -> None:
     )
     # a process of its own: the nodes' parameters are those of the probes that were there when they were imported
     words = [sys.executable, "-c", code, str(tmp_path / "demo")]
-    done = subprocess.run(words, capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        words,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
     assert done.returncode == 0, done.stdout + done.stderr
     found = re.match(r"spring ([0-9.]+) N m/rad, 95 % interval", done.stdout)
     assert found is not None and "the virtual arm's spring was 0.4 N m/rad" in done.stdout, (

@@ -105,7 +105,13 @@ def test_a_camera_beside_the_encoder(robot: Robot, signals: str) -> None:
         )
         track = SphereTrack(run.times_s, seen + noise, 1e-3)
         options = ContainerOptions(signals=signals)
-        estimate = find_sphere(robot, [run], FACTS, options, tracks=[track])
+        estimate = find_sphere(
+            robot,
+            [run],
+            FACTS,
+            options,
+            tracks=[track],
+        )
         value = estimate.value("sphere_mass")
         assert estimate.verdict is not Verdict.REJECTED, estimate.reasons
         errors.append(value.value / case.mass_kg - 1.0)
@@ -128,7 +134,11 @@ def test_bounces_of_another_law(robot: Robot) -> None:
         current_A=hold + 0.5 * np.where(np.arange(count + 1) % 2 == 0, -1.0, 1.0),
     )
     run, _ = recorded(wild, SEED, 1.5)
-    facts = replace(FACTS, settled=False, damping_ratio=Quantity(0.05, 0.02))
+    facts = replace(
+        FACTS,
+        settled=False,
+        damping_ratio=Quantity(0.05, 0.02),
+    )
     estimate = find_sphere(robot, [run], facts)
     mass = estimate.value("sphere_mass")
     if mass.value is not None:
@@ -238,10 +248,18 @@ def test_intervals_on_robots_that_learnt_themselves() -> None:
     ],
 )
 def test_when_masses_contradict_each_other(
-    one_g: float, others_g: float, half_g: float | None, code: str | None
+    one_g: float,
+    others_g: float,
+    half_g: float | None,
+    code: str | None,
 ) -> None:
     """Masses within 1 g or 10 % do not contradict each other, and half of the difference is uncertainty."""
-    apart = compared("odd", 1e-3 * one_g, 1e-3 * others_g, 0.5e-3 * (one_g + others_g))
+    apart = compared(
+        "odd",
+        1e-3 * one_g,
+        1e-3 * others_g,
+        0.5e-3 * (one_g + others_g),
+    )
     assert getattr(apart.sentence, "code", None) == code
     assert apart.half is None if half_g is None else apart.half == pytest.approx(1e-3 * half_g)
 
@@ -251,7 +269,12 @@ def test_a_run_that_nothing_can_be_compared_with_contradicts_the_others(robot: R
     whole = SphereSearch(robot, FACTS, ContainerOptions())
     for number, rolls in ((0, True), (6, True), (1, False)):
         whole = whole.added(
-            prepare_run(robot, drawn(number)[1], None, FACTS.shell),
+            prepare_run(
+                robot,
+                drawn(number)[1],
+                None,
+                FACTS.shell,
+            ),
             rolls,
         )
     assert whole.without([0]).rolling == (True, False) and whole.without([0]).runs == whole.runs[1:]

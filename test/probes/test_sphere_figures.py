@@ -56,7 +56,10 @@ def numbers(text: str) -> np.ndarray:
     return np.array([float(word) for word in re.findall(r"-?[\d.]+(?:e-?\d+)?", text)])
 
 
-def drawn(text: str, kind: str) -> list[ET.Element]:
+def drawn(
+    text: str,
+    kind: str,
+) -> list[ET.Element]:
     return list(ET.fromstring(text).iter(SVG + kind))
 
 
@@ -99,7 +102,10 @@ def test_start_and_end_are_where_the_path_says_in_mm() -> None:
     ],
 )
 def test_the_inside_as_large_as_it_looks_from_there(
-    shape: str, across: tuple[float, float, float], width: float, height: float
+    shape: str,
+    across: tuple[float, float, float],
+    width: float,
+    height: float,
 ) -> None:
     for text in (path_figure(rolled(shape, across), 1), moving_figure(rolled(shape, across), 1)):
         assert np.ptp(silhouette(text), axis=0) == pytest.approx([width, height], abs=0.05)
@@ -130,7 +136,10 @@ def test_in_the_moving_picture_everything_is_where_it_was_in_the_world(seed: int
     path = rolled(
         ("box", "cylinder", "sphere")[seed % 3],
         tuple(across),
-        rotation(rng.normal(size=3), rng.uniform(0, 6)),
+        rotation(
+            rng.normal(size=3),
+            rng.uniform(0, 6),
+        ),
     )
     [turn] = drawn(moving_figure(path, 1), "animateTransform")
     moves = {
@@ -219,7 +228,10 @@ def test_a_joint_that_stands_upright_has_gravity_along_the_line_of_sight() -> No
 
 def test_the_band_is_two_standard_deviations_and_only_where_it_shows() -> None:
     path = rolled()
-    path = replace(path, std=path.std * [1.0, 500.0, 2.0])
+    path = replace(
+        path,
+        std=path.std * [1.0, 500.0, 2.0],
+    )
     ellipses = drawn(path_figure(path, 1), "ellipse")
     assert len(ellipses) == len(path.times_s)
     sizes = [float(ellipses[0].attrib[key]) for key in ("rx", "ry")]
@@ -228,7 +240,10 @@ def test_the_band_is_two_standard_deviations_and_only_where_it_shows() -> None:
         "longest upwards, along z; y is the line of sight"
     )
     assert not drawn(path_figure(rolled(std_m=1e-6), 1), "ellipse")
-    flat = replace(path, std=path.std * [1.0, 1.0, 0.0])
+    flat = replace(
+        path,
+        std=path.std * [1.0, 1.0, 0.0],
+    )
     assert all(float(e.attrib["ry"]) > 0.0 for e in drawn(path_figure(flat, 1), "ellipse")), (
         "without width it would vanish"
     )

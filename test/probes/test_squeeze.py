@@ -54,7 +54,10 @@ def calibrated(recordings: Path) -> Callable[[str], Robot]:
 
 
 @pytest.fixture(scope="module")
-def of_heavy(recordings: Path, calibrated: Callable[[str], Robot]) -> Estimate:
+def of_heavy(
+    recordings: Path,
+    calibrated: Callable[[str], Robot],
+) -> Estimate:
     """What the calibrated robot with friction says of the heavy cube."""
     return squeezed(calibrated("friction_s00"), recordings / "friction_s00" / "squeeze_heavy")
 
@@ -72,7 +75,10 @@ def of_heavy(recordings: Path, calibrated: Callable[[str], Robot]) -> Estimate:
     ],
 )
 def test_youngs_modulus(
-    recordings: Path, calibrated: Callable[[str], Robot], level: str, worst: float
+    recordings: Path,
+    calibrated: Callable[[str], Robot],
+    level: str,
+    worst: float,
 ) -> None:
     for name in BLOCKS:
         folder = recordings / level / f"squeeze_{name}"
@@ -99,7 +105,11 @@ def test_squeezes_of_two_blocks_contradict_each_other(
         *runs_of(level / "squeeze_light", robot),
         *runs_of(level / "squeeze_heavy", robot),
     ]
-    estimate = find_softness(robot, runs, BlockFacts(np.full(3, 0.03)))
+    estimate = find_softness(
+        robot,
+        runs,
+        BlockFacts(np.full(3, 0.03)),
+    )
     assert estimate.verdict is Verdict.REJECTED and estimate.value("youngs_modulus").value is None
     sentence = estimate.reasons[0]
     assert "contradicts the other runs" in sentence and "was the same block held" in sentence
@@ -124,7 +134,11 @@ def test_a_ratio_at_the_end_of_the_search_is_not_stated(
     recordings: Path, calibrated: Callable[[str], Robot]
 ) -> None:
     folder = recordings / "realistic_s01" / "squeeze_random"
-    estimate = squeezed(calibrated("realistic_s01"), folder, poissons_ratio=Quantity(0.0, 0.001))
+    estimate = squeezed(
+        calibrated("realistic_s01"),
+        folder,
+        poissons_ratio=Quantity(0.0, 0.001),
+    )
     ratio = estimate.value("poissons_ratio")
     lam = estimate.value("lame_lambda")
     assert (
@@ -137,7 +151,10 @@ def test_a_ratio_at_the_end_of_the_search_is_not_stated(
 @pytest.mark.long
 @pytest.mark.parametrize(("name", "determined"), [("heavy", True), ("random", False)])
 def test_a_stiff_block_that_is_pressed_by_a_fifth(
-    recordings: Path, calibrated: Callable[[str], Robot], name: str, determined: bool
+    recordings: Path,
+    calibrated: Callable[[str], Robot],
+    name: str,
+    determined: bool,
 ) -> None:
     """Too little for much of a curve: a fit that gives up too early runs to the end of the search."""
     folder = recordings / "realistic_s01" / f"squeeze_{name}"
@@ -154,7 +171,11 @@ def test_what_the_squeeze_does_not_determine_is_not_stated(
 ) -> None:
     """With a prior that is narrower than what the recording determines, Poisson's ratio is the prior's, and lambda with it."""
     folder = recordings / "quantised_s00" / "squeeze_heavy"
-    estimate = squeezed(calibrated("quantised_s00"), folder, poissons_ratio=Quantity(0.3, 0.03))
+    estimate = squeezed(
+        calibrated("quantised_s00"),
+        folder,
+        poissons_ratio=Quantity(0.3, 0.03),
+    )
     for name in ("poissons_ratio", "lame_lambda"):
         value = estimate.value(name)
         assert value.value is None and value.reason.startswith("prior_dominated")
@@ -211,7 +232,10 @@ def test_an_empty_gripper_squeezes_nothing(
     )
 
 
-def test_only_fingers_squeeze(recordings: Path, calibrated: Callable[[str], Robot]) -> None:
+def test_only_fingers_squeeze(
+    recordings: Path,
+    calibrated: Callable[[str], Robot],
+) -> None:
     robot = calibrated("realistic_s00")
     with pytest.raises(RecordingError, match="slides no finger"):
         find_softness(
@@ -241,7 +265,10 @@ def test_bad_facts_get_one_line(
 ) -> None:
     folder = recordings / "friction_s00" / "squeeze_heavy"
     with pytest.raises(ProprioError) as caught:
-        replay([bag_in(folder)], Options(probe="softness", settings=settings))
+        replay(
+            [bag_in(folder)],
+            Options(probe="softness", settings=settings),
+        )
     assert words in str(caught.value) and "\n" not in str(caught.value)
 
 
@@ -260,7 +287,10 @@ def test_facts_from_settings() -> None:
 @pytest.mark.parametrize("modulus", [2e4, 1e5, 5e5])
 @pytest.mark.parametrize("baseline", [False, True])
 def test_gradient_of_the_cost(
-    recordings: Path, calibrated: Callable[[str], Robot], modulus: float, baseline: bool
+    recordings: Path,
+    calibrated: Callable[[str], Robot],
+    modulus: float,
+    baseline: bool,
 ) -> None:
     """Every unknown, through simulator, gap, viscosity and the runs without a block, against finite differences."""
     robot = calibrated("realistic_s00")
@@ -274,7 +304,17 @@ def test_gradient_of_the_cost(
     facts = BlockFacts(np.full(3, 0.03))
     squeezing = [True, *([False] * baseline)]
     problem = SqueezeProblem(
-        robot, runs, facts, squeezing, block_unknowns(robot, runs, squeezing, facts, Role.FREE)
+        robot,
+        runs,
+        facts,
+        squeezing,
+        block_unknowns(
+            robot,
+            runs,
+            squeezing,
+            facts,
+            Role.FREE,
+        ),
     )
     base = problem.coordinates.prior_mean.copy()
     names = [problem.unknowns[row].name for row in problem.free]
@@ -348,11 +388,17 @@ def test_from_a_clone(bags: Path) -> None:
 def test_a_mesh_of_the_cube_is_the_cube(bags: Path, tmp_path: Path) -> None:
     """Written by a library in mm, read back by the settings: with faces that slip every mesh says the same."""
     meshio = pytest.importorskip("meshio")
-    cube = box(np.full(3, 30.0), (2, 2, 2))
+    cube = box(
+        np.full(3, 30.0),
+        (2, 2, 2),
+    )
     path = tmp_path / "cube.vtk"
     meshio.write(
         path,
-        meshio.Mesh(cube.points, [("tetra", cube.tets)]),
+        meshio.Mesh(
+            cube.points,
+            [("tetra", cube.tets)],
+        ),
     )
     # not squeezed beyond 60 %, where the table of a mesh ends
     bag = bag_in(bags / "realistic_s00_squeeze_heavy")
@@ -368,7 +414,10 @@ def test_a_mesh_of_the_cube_is_the_cube(bags: Path, tmp_path: Path) -> None:
             Options(probe="softness", settings={"block.mesh": str(path)}),
         )
     with pytest.raises(ProprioError, match="no such mesh file"):
-        replay([bag], Options(probe="softness", settings={"block.mesh": "nowhere.msh"}))
+        replay(
+            [bag],
+            Options(probe="softness", settings={"block.mesh": "nowhere.msh"}),
+        )
 
 
 def test_the_modulus_goes_with_the_fingers_travel(
@@ -381,7 +430,10 @@ def test_the_modulus_goes_with_the_fingers_travel(
 
     def told(openings: list[float]) -> Estimate:
         travel = FingerTravel((-0.8, 1.6), tuple(openings))
-        trains = {**robot.drive_trains, "gripper_left_joint": replace(drive, finger_travel=travel)}
+        trains = {
+            **robot.drive_trains,
+            "gripper_left_joint": replace(drive, finger_travel=travel),
+        }
         return squeezed(replace(robot, drive_trains=trains), folder)
 
     plain = of_heavy
@@ -402,7 +454,10 @@ def test_both_lame_parameters_together(
     assert joint is not None and joint.determined and joint.names == ("lame_mu", "lame_lambda")
     mu = estimate.value("lame_mu")
     lam = estimate.value("lame_lambda")
-    np.testing.assert_allclose(joint.value, [mu.value, lam.value])
+    np.testing.assert_allclose(
+        joint.value,
+        [mu.value, lam.value],
+    )
     np.testing.assert_allclose(
         np.sqrt(np.diag(joint.covariance)),
         [mu.std, lam.std],
@@ -421,7 +476,11 @@ def test_both_lame_parameters_together(
         "outline95",
     }
     json.dumps(estimate.as_json())
-    of_prior = squeezed(calibrated("friction_s00"), folder, poissons_ratio=Quantity(0.13, 0.003))
+    of_prior = squeezed(
+        calibrated("friction_s00"),
+        folder,
+        poissons_ratio=Quantity(0.13, 0.003),
+    )
     joint = of_prior.detail.joint
     assert joint is not None and not joint.determined and "joint_interval" not in of_prior.as_json()
 

@@ -58,7 +58,11 @@ def test_polls_of_any_period_are_spread(every_s: float, scatter_s: float) -> Non
 
 def test_only_a_part_and_lost_messages() -> None:
     partly = TRUE_NS.copy()
-    partly[1000:2000] = polled(TRUE_NS[1000:2000], 0.047, 0.004)
+    partly[1000:2000] = polled(
+        TRUE_NS[1000:2000],
+        0.047,
+        0.004,
+    )
     found = of_bursts(np.sort(partly))
     assert found is not None
     assert 900 < found.moved < 1100

@@ -45,7 +45,11 @@ def columns(bag_ns: TimeArray, stamp_ns: TimeArray) -> JointColumns:
     )
 
 
-def stepped(times_ns: TimeArray, by_s: float, at: float = 0.5) -> TimeArray:
+def stepped(
+    times_ns: TimeArray,
+    by_s: float,
+    at: float = 0.5,
+) -> TimeArray:
     return times_ns + np.where(np.arange(COUNT) >= at * COUNT, round(1e9 * by_s), 0)
 
 
@@ -55,7 +59,11 @@ def true_s(found: JointColumns) -> FloatArray:
 
 def own_s(found: JointColumns) -> FloatArray:
     """The times that were found, as they would be handed on."""
-    times_ns = np.where(found.stamp_ns == 0, found.bag_ns, found.stamp_ns)
+    times_ns = np.where(
+        found.stamp_ns == 0,
+        found.bag_ns,
+        found.stamp_ns,
+    )
     return 1e-9 * (times_ns - BEGIN_NS)
 
 
@@ -114,7 +122,10 @@ def test_commands_without_stamps_are_left_out_where_the_recorders_clock_says_two
 
 @pytest.mark.parametrize("by_s", [-3.2, -0.4, -12.0, 3.2, 1000.0, -1000.0])
 def test_where_both_clocks_step_the_recording_is_cut(by_s: float) -> None:
-    bent = columns(stepped(TRUE_NS + LATE_NS, by_s), stepped(TRUE_NS, by_s))
+    bent = columns(
+        stepped(TRUE_NS + LATE_NS, by_s),
+        stepped(TRUE_NS, by_s),
+    )
     clock = clock_of("/states", bent)
     found = clock.mended(bent)
     assert same_pace(found, parts=2)
@@ -128,7 +139,11 @@ def test_where_both_clocks_step_the_recording_is_cut(by_s: float) -> None:
 
 
 def test_messages_of_before_the_clock_was_set_are_left_out() -> None:
-    zero = np.where(np.arange(COUNT) < 200, 0, TRUE_NS)
+    zero = np.where(
+        np.arange(COUNT) < 200,
+        0,
+        TRUE_NS,
+    )
     simulated = np.where(
         np.arange(COUNT) < 200,
         0,
@@ -150,7 +165,11 @@ def test_messages_of_before_the_clock_was_set_are_left_out() -> None:
 
 def test_stamps_of_0_before_simulated_time_are_no_simulated_time() -> None:
     simulated = (TRUE_NS - BEGIN_NS) // 2 + 57 * 10**9
-    stamps = np.where(np.arange(COUNT) < 200, 0, simulated)
+    stamps = np.where(
+        np.arange(COUNT) < 200,
+        0,
+        simulated,
+    )
     bent = columns(TRUE_NS, stamps)
     clock = clock_of("/states", bent)
     assert len(clock.mended(bent).bag_ns) == COUNT - 200
@@ -159,7 +178,10 @@ def test_stamps_of_0_before_simulated_time_are_no_simulated_time() -> None:
 
 def test_a_recorder_whose_clock_stood_still_is_named() -> None:
     with refused("all 3000 messages were recorded at 0 s: the recorder's clock stood still"):
-        clock_of("/states", columns(np.zeros_like(TRUE_NS), np.zeros_like(TRUE_NS)))
+        clock_of(
+            "/states",
+            columns(np.zeros_like(TRUE_NS), np.zeros_like(TRUE_NS)),
+        )
 
 
 def test_stamps_that_count_messages_give_way_to_the_recorders_clock() -> None:
@@ -208,7 +230,11 @@ def test_noise_of_encoders_is_no_second_motion() -> None:
     still = columns(TRUE_NS, TRUE_NS)
     noisy = rng.normal(0.0, 1e-3, (COUNT, 3))
     gappy = TRUE_NS + np.where(np.arange(COUNT) % 200 > 100, 5_000_000, 0) * np.arange(COUNT)
-    case = still._replace(bag_ns=gappy, stamp_ns=gappy, values={"position": noisy})
+    case = still._replace(
+        bag_ns=gappy,
+        stamp_ns=gappy,
+        values={"position": noisy},
+    )
     assert clock_of("/states", case).faults == ()
 
 
@@ -262,7 +288,10 @@ def test_what_is_beside_a_cut_belongs_to_no_run() -> None:
     onset_ns = run.onset_ns
     end_ns = onset_ns + int(1e9 * run.duration_s)
     cuts = ((onset_ns - 10**9, onset_ns - 10**8), (end_ns + 5 * 10**7, end_ns + 10**9))
-    (beside,) = cut_runs(replace(recording, cuts_ns=cuts), joints=JOINTS)
+    (beside,) = cut_runs(
+        replace(recording, cuts_ns=cuts),
+        joints=JOINTS,
+    )
     assert np.array_equal(beside.position, run.position)
     assert beside.before_times_s.size < run.before_times_s.size
     assert beside.after_times_s.size < run.after_times_s.size

@@ -95,7 +95,10 @@ def test_lengths_that_do_not_fit(
     [("joint3", "joint1"), ("joint3,joint1",), (" joint3 , joint1 ",)],
     ids=["dims", "joined", "blanks"],
 )
-def test_labels_name_the_columns(tmp_path: Path, labels: tuple[str, ...]) -> None:
+def test_labels_name_the_columns(
+    tmp_path: Path,
+    labels: tuple[str, ...],
+) -> None:
     messages = [command(time_ns, [currents(time_ns)[2], 0.0], labels) for time_ns in times()]
     inputs = read(write_bag(tmp_path / "bag", states() + messages)).inputs
     assert inputs is not None
@@ -115,7 +118,10 @@ def test_labels_that_describe_the_dimensions_name_no_column(
 @pytest.mark.parametrize(
     "labels", [("joint3,joint1,joint2",), ("joint3", "joint3"), ("joint3", "")]
 )
-def test_labels_that_do_not_fit(tmp_path: Path, labels: tuple[str, ...]) -> None:
+def test_labels_that_do_not_fit(
+    tmp_path: Path,
+    labels: tuple[str, ...],
+) -> None:
     with refused("has 2 values but is labelled .*must name every joint once"):
         read(write_bag(tmp_path / "bag", [*states(), command(ONSET_NS, [0.3, 0.0], labels)]))
 
@@ -131,7 +137,10 @@ def test_an_unlabelled_command_of_the_wrong_length(tmp_path: Path, length: int) 
 @pytest.mark.parametrize(
     "labels", [(), ("",)], ids=["unlabelled", "as the excitation node labels it"]
 )
-def test_a_command_without_numbers_ends_the_push(tmp_path: Path, labels: tuple[str, ...]) -> None:
+def test_a_command_without_numbers_ends_the_push(
+    tmp_path: Path,
+    labels: tuple[str, ...],
+) -> None:
     """So the excitation node ends each push; joints that a command does not name are held, as by the driver."""
     first = ONSET_NS
     second = ONSET_NS + 5 * CYCLE_NS

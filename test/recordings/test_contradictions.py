@@ -87,7 +87,11 @@ def test_a_torque_that_others_measure_may_lack_what_friction_takes(
         if refused
         else nullcontext()
     ):
-        refuse_other_current(other, Effort(None, ARM.effort_per_current), {"joint3": np.inf})
+        refuse_other_current(
+            other,
+            Effort(None, ARM.effort_per_current),
+            {"joint3": np.inf},
+        )
 
 
 @pytest.mark.parametrize(

@@ -95,7 +95,12 @@ def test_an_episode_has_the_numbers_that_were_written(tmp_path: Path, version: s
 
 @pytest.mark.parametrize("version", VERSIONS)
 def test_parts_cover_an_episode(tmp_path: Path, version: str) -> None:
-    folder = write(tmp_path, motion(1.0), motion(6.0), version=version)
+    folder = write(
+        tmp_path,
+        motion(1.0),
+        motion(6.0),
+        version=version,
+    )
     whole = read(folder, 1).joints
     spans = parts_of_episode(folder, 1, 90)
     assert len(spans) == 4 and parts_of_episode(folder, 0, 90) == [(0, None)]
@@ -241,7 +246,10 @@ def test_frames_without_a_time_are_left_out_and_it_is_said(
 
 
 def test_a_data_set_without_a_time_is_one_sentence(tmp_path: Path) -> None:
-    folder = write(tmp_path, stamped(list(range(200)), np.nan))
+    folder = write(
+        tmp_path,
+        stamped(list(range(200)), np.nan),
+    )
     with pytest.raises(RecordingError, match="no frame has a finite timestamp") as caught:
         read(folder)
     assert "\n" not in str(caught.value)

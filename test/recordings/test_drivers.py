@@ -88,9 +88,15 @@ def state(
         for name in ("builtin_interfaces/msg/Time", "std_msgs/msg/Header", JOINT_STATE)
     )
     seconds, nanoseconds = divmod(time_ns, 10**9)
-    columns = np.array(list(values.values()), dtype=np.float64)
+    columns = np.array(
+        list(values.values()),
+        dtype=np.float64,
+    )
     content = kind(
-        header=header(stamp=time(sec=seconds, nanosec=nanoseconds), frame_id="base_link"),
+        header=header(
+            stamp=time(sec=seconds, nanosec=nanoseconds),
+            frame_id="base_link",
+        ),
         name=list(values),
         position=columns[:, 0].copy(),
         velocity=columns[:, 1].copy(),
@@ -99,7 +105,11 @@ def state(
     return Message(time_ns, topic, JOINT_STATE, content)
 
 
-def numbers(time_ns: int, values: Sequence[float], topic: str) -> Message:
+def numbers(
+    time_ns: int,
+    values: Sequence[float],
+    topic: str,
+) -> Message:
     layout = TYPES.types["std_msgs/msg/MultiArrayLayout"](dim=[], data_offset=0)
     return Message(
         time_ns,
@@ -113,7 +123,12 @@ def numbers(time_ns: int, values: Sequence[float], topic: str) -> Message:
 
 
 def mark(msgtype: str, topic: str) -> Message:
-    return Message(ONSET_NS, topic, msgtype, TYPES.types[msgtype](joint_names=[]))
+    return Message(
+        ONSET_NS,
+        topic,
+        msgtype,
+        TYPES.types[msgtype](joint_names=[]),
+    )
 
 
 def write_bag(
@@ -192,7 +207,10 @@ def elbow_A(recording: Recording, joint: str = "joint3") -> np.ndarray:
 
 
 @contextmanager
-def refused(pattern: str, error: type[ProprioError] = ConfigurationError) -> Iterator[None]:
+def refused(
+    pattern: str,
+    error: type[ProprioError] = ConfigurationError,
+) -> Iterator[None]:
     """One line that matches."""
     with pytest.raises(error) as caught:
         yield
@@ -300,7 +318,11 @@ def test_proprio(tmp_path: Path, storage: str) -> None:
     commands = [
         numbers(t, [torque(t)[name] for name in JOINTS], "/current_command") for t in times()
     ]
-    bag = write_bag(tmp_path / "bag", push(order=JOINTS) + commands, storage)
+    bag = write_bag(
+        tmp_path / "bag",
+        push(order=JOINTS) + commands,
+        storage,
+    )
     stated = read(bag, driver="proprio")
     unstated = read(bag)
     assert stated.inputs is not None and unstated.inputs is not None
@@ -311,7 +333,10 @@ def test_proprio(tmp_path: Path, storage: str) -> None:
     )
     # without any command its effort counts, which nobody may guess
     bag = write_bag(tmp_path / "effort", push(order=JOINTS), storage)
-    np.testing.assert_allclose(elbow_A(read(bag, driver="proprio")), PUSHED_A)
+    np.testing.assert_allclose(
+        elbow_A(read(bag, driver="proprio")),
+        PUSHED_A,
+    )
     with refused("what the effort .* is not stated", RecordingError):
         read(bag)
 
@@ -336,7 +361,10 @@ def test_ros2_control_with_an_effort_controller(tmp_path: Path, storage: str) ->
         "is unlabelled; it was read as the recorded joints joint1, joint2" in note
         for note in recording.notes
     )
-    (run,) = bag_runs(bag, Request(ARM, Options(driver="ros2_control")))
+    (run,) = bag_runs(
+        bag,
+        Request(ARM, Options(driver="ros2_control")),
+    )
     assert run.joint == "joint3" and run.duration_s == pytest.approx(0.6)
     # and is not looked for where nobody says which driver it is
     with refused("no input current", RecordingError):
@@ -371,11 +399,22 @@ def test_lerobot_states_degrees_and_names_of_its_own(tmp_path: Path) -> None:
         Request(arm, Options(driver="lerobot")),
     )
     assert theirs.joints.names == ours.joints.names
-    np.testing.assert_allclose(theirs.joints.position, ours.joints.position, atol=1e-12)
+    np.testing.assert_allclose(
+        theirs.joints.position,
+        ours.joints.position,
+        atol=1e-12,
+    )
     assert ours.inputs is not None and theirs.inputs is not None and ours.inputs.current_A.any()
-    np.testing.assert_allclose(theirs.inputs.current_A, ours.inputs.current_A, atol=1e-9)
+    np.testing.assert_allclose(
+        theirs.inputs.current_A,
+        ours.inputs.current_A,
+        atol=1e-9,
+    )
     with refused("seems to use degrees", RecordingError):  # a profile that says rad
-        bag_recording(bag("wrong", "{}", 1000.0 * 180.0 / np.pi), Request(arm))
+        bag_recording(
+            bag("wrong", "{}", 1000.0 * 180.0 / np.pi),
+            Request(arm),
+        )
 
 
 @pytest.mark.parametrize("storage", STORAGES)
@@ -400,7 +439,10 @@ def test_the_order_of_a_controller_that_drives_some_joints_is_stated(tmp_path: P
         f"inputs: [{{topic: torques/commands, type: std_msgs/Float64MultiArray, unit: N.m, joints: [{', '.join(order)}]}}]\n"
     )
     mine = tmp_path / "mine.yaml"
-    np.testing.assert_allclose(elbow_A(read(bag, driver=mine)), PUSHED_A)
+    np.testing.assert_allclose(
+        elbow_A(read(bag, driver=mine)),
+        PUSHED_A,
+    )
     with refused(
         r"has 3 values but the robot has 5 joints .*file of your own \(extends: ros2_control\)",
         RecordingError,
@@ -424,7 +466,11 @@ def test_robotis(tmp_path: Path, storage: str) -> None:
     seen = mark(
         "dynamixel_interfaces/msg/DynamixelState", "/dynamixel_hardware_interface/dxl_state"
     )
-    bag = write_bag(tmp_path / "bag", [*push(counts), seen], storage)
+    bag = write_bag(
+        tmp_path / "bag",
+        [*push(counts), seen],
+        storage,
+    )
     recording = read(bag, driver="robotis")
     np.testing.assert_allclose(elbow_A(recording), PUSHED_A, atol=CURRENT_PER_COUNT_A)
     # its goal currents are counts, too
@@ -433,7 +479,12 @@ def test_robotis(tmp_path: Path, storage: str) -> None:
         for t in times()
     ]
     recording = read(
-        write_bag(tmp_path / "goal", push(counts) + commands, storage), driver="robotis"
+        write_bag(
+            tmp_path / "goal",
+            push(counts) + commands,
+            storage,
+        ),
+        driver="robotis",
     )
     assert (
         recording.inputs is not None
@@ -501,7 +552,11 @@ def test_ur_with_currents(tmp_path: Path, ur: Robot, storage: str) -> None:
     assert elbow_A(recording, "elbow_joint").min() == -0.5
     both += [state(m.time_ns + 2, {"elbow_joint": (0.3, 0.0, 9.0)}) for m in both]
     with refused("left_elbow_joint and elbow_joint would both be elbow_joint", RecordingError):
-        read(write_bag(tmp_path / "three", both, storage), ur, driver=tmp_path / "left.yaml")
+        read(
+            write_bag(tmp_path / "three", both, storage),
+            ur,
+            driver=tmp_path / "left.yaml",
+        )
 
 
 @pytest.mark.parametrize("storage", STORAGES)
@@ -521,7 +576,12 @@ def test_ur_with_torques_without_gravity_is_refused(
         calibrate_from_bags(bag, {}, options)
     # an effort unit does not make it another thing
     with refused(why):
-        api.weigh(bag, robot=ur.source, driver="ur_torque", effort_unit="N.m")
+        api.weigh(
+            bag,
+            robot=ur.source,
+            driver="ur_torque",
+            effort_unit="N.m",
+        )
     (check,) = check_bags(bag, Options(robot=str(ur.source), driver="ur_torque"))[1]
     assert (
         "this effort lacks what holds the arm" in check.problem
@@ -543,7 +603,11 @@ def test_interbotix(tmp_path: Path, storage: str) -> None:
         }
 
     seen = mark("interbotix_xs_msgs/msg/JointGroupCommand", "/wx200/commands/joint_group")
-    states = push(milliampere, names=lambda name: names[name], topic="/wx200/joint_states")
+    states = push(
+        milliampere,
+        names=lambda name: names[name],
+        topic="/wx200/joint_states",
+    )
     bag = write_bag(tmp_path / "bag", [*states, seen], storage)
     # the robot of this test calls its joints otherwise: a file says how
     (tmp_path / "mine.yaml").write_text(
@@ -551,7 +615,10 @@ def test_interbotix(tmp_path: Path, storage: str) -> None:
         + ", ".join(f"{theirs}: {own}" for own, theirs in names.items())
         + "}\n"
     )
-    np.testing.assert_allclose(elbow_A(read(bag, driver=tmp_path / "mine.yaml")), PUSHED_A)
+    np.testing.assert_allclose(
+        elbow_A(read(bag, driver=tmp_path / "mine.yaml")),
+        PUSHED_A,
+    )
     recording = read_recording(
         bag,
         effort_unit="mA",
@@ -743,7 +810,10 @@ def test_the_same_answer_from_another_drivers_bag(tmp_path: Path, storage: str) 
     assert "driver='ros2_control'" in theirs.call
 
 
-def test_the_command_line_takes_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_line_takes_it(
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     bag = write_bag(tmp_path / "bag", push())
     assert main(["check", str(bag), "--driver", "ros2_control", "--json"]) == 0
     (found,) = json.loads(capsys.readouterr().out)["bags"]
@@ -795,8 +865,16 @@ def quality(reliability: QosReliability) -> list[Qos]:
 def test_any_quality_of_service_is_read(
     tmp_path: Path, storage: str, reliability: QosReliability
 ) -> None:
-    bag = write_bag(tmp_path / "bag", push(), storage, quality(reliability))
-    np.testing.assert_allclose(elbow_A(read(bag, driver="ros2_control")), PUSHED_A)
+    bag = write_bag(
+        tmp_path / "bag",
+        push(),
+        storage,
+        quality(reliability),
+    )
+    np.testing.assert_allclose(
+        elbow_A(read(bag, driver="ros2_control")),
+        PUSHED_A,
+    )
 
 
 @pytest.mark.parametrize("rate_Hz", [30.0, 100.0, 500.0, 1000.0])

@@ -62,7 +62,10 @@ def test_measured_current_is_taken_before_the_command() -> None:
     assert motion.source == "measured current"
     np.testing.assert_allclose(motion.current_A, 1.0, atol=0.1)
     assert motion.held == {"grip": 0.0} and motion.moved == ("a", "b")
-    commanded = motion_of(recording(measured=False), joints=["a", "b"])
+    commanded = motion_of(
+        recording(measured=False),
+        joints=["a", "b"],
+    )
     assert commanded.source == "/current_command" and np.all(commanded.current_A == 2.0)
     assert "commanded one counts" in commanded.notes[-1]
 
@@ -96,7 +99,11 @@ def test_what_a_controller_moves_without_any_command_is_a_motion() -> None:
         (recording(), ["grip"], "no joint moved"),
     ],
 )
-def test_what_is_no_motion_is_said(recorded: Recording, joints: list[str], words: str) -> None:
+def test_what_is_no_motion_is_said(
+    recorded: Recording,
+    joints: list[str],
+    words: str,
+) -> None:
     with pytest.raises(RecordingError, match=words):
         motion_of(recorded, joints=joints)
 
@@ -136,23 +143,39 @@ def test_joint_states_that_repeat_the_one_before_are_left_out(times: int) -> Non
     record = whole.joints
     rows = np.arange(len(record.times_ns)) // times * times
     current = record.current
-    held = replace(record, position=record.position[rows], current=current)
-    motion = motion_of(replace(whole, joints=held), joints=["a", "b"])
+    held = replace(
+        record,
+        position=record.position[rows],
+        current=current,
+    )
+    motion = motion_of(
+        replace(whole, joints=held),
+        joints=["a", "b"],
+    )
     measured_Hz = 100.0 / times
     (note,) = [each for each in motion.notes if "repeat the one before" in each]
     assert f"at {measured_Hz:.3g} Hz" in note
     left = len(np.unique(rows)) if measured_Hz >= 20.0 else len(rows)
     assert len(motion.times_s) == left
     # a joint that creeps repeats counts of its encoder, and a motion without repeats is left as it is
-    creeps = replace(record, position=np.round(0.1 * record.position, 3))
+    creeps = replace(
+        record,
+        position=np.round(0.1 * record.position, 3),
+    )
     for other in (record, creeps):
-        motion = motion_of(replace(whole, joints=other), joints=["a", "b"])
+        motion = motion_of(
+            replace(whole, joints=other),
+            joints=["a", "b"],
+        )
         assert len(motion.times_s) == len(record.times_ns)
 
 
 def test_exactly_20_hz_are_20_hz() -> None:
     for rate_Hz in (20.0, 19.97):
-        motion = motion_of(recording(20.0, rate_Hz), joints=["a", "b"])
+        motion = motion_of(
+            recording(20.0, rate_Hz),
+            joints=["a", "b"],
+        )
         assert len(motion.times_s) == len(np.arange(0.0, 20.0, 1.0 / rate_Hz))
     with pytest.raises(RecordingError, match=r"19\.8 Hz; a motion needs 20 Hz"):
         motion_of(recording(20.0, 19.8), joints=["a", "b"])
@@ -173,11 +196,24 @@ def test_what_stands_in_the_way_of_a_gap_with_a_wrap_is_the_gap() -> None:
     with pytest.raises(
         RecordingError, match=r"no joint states came for 0\.95 s after 10\.0 s, and a"
     ):
-        motion_of(replace(whole, joints=gap), joints=["a", "b"])
+        motion_of(
+            replace(whole, joints=gap),
+            joints=["a", "b"],
+        )
     # a joint that does not wrap is known behind a gap as well as before
-    known = replace(record, times_ns=times_ns, position=record.position + 1.6 * far)
-    motion = motion_of(replace(whole, joints=known), joints=["a", "b"])
-    np.testing.assert_array_equal(motion.position, known.position[:, :2])
+    known = replace(
+        record,
+        times_ns=times_ns,
+        position=record.position + 1.6 * far,
+    )
+    motion = motion_of(
+        replace(whole, joints=known),
+        joints=["a", "b"],
+    )
+    np.testing.assert_array_equal(
+        motion.position,
+        known.position[:, :2],
+    )
 
 
 @pytest.mark.skipif(not REAL.is_dir(), reason="needs the real recordings")
@@ -245,7 +281,13 @@ def replayed(
 def test_a_real_arm_weighs_what_it_carries(
     capsys: pytest.CaptureFixture[str], ur10e: Path, empty: str
 ) -> None:
-    code, answer = replayed(capsys, ur10e, "ur10e_loaded_14", "--baseline", str(REAL / empty))
+    code, answer = replayed(
+        capsys,
+        ur10e,
+        "ur10e_loaded_14",
+        "--baseline",
+        str(REAL / empty),
+    )
     assert code == 0, answer["reasons"]
     mass, centre, inertia = answer["estimates"]
     assert mass["ci95"][0] < 2.805 < mass["ci95"][1]
@@ -266,7 +308,13 @@ def test_a_real_arm_weighs_what_it_carries(
 def test_a_real_empty_hand_weighs_nothing(
     capsys: pytest.CaptureFixture[str], ur10e: Path, other: str
 ) -> None:
-    code, answer = replayed(capsys, ur10e, other, "--baseline", str(REAL / "ur10e_empty_14"))
+    code, answer = replayed(
+        capsys,
+        ur10e,
+        other,
+        "--baseline",
+        str(REAL / "ur10e_empty_14"),
+    )
     assert code == 0, answer["reasons"]
     mass = answer["estimates"][0]
     assert mass["value"] < 0.05 and mass["ci95"][0] == 0.0 and mass["ci95"][1] < 0.2
@@ -301,7 +349,10 @@ def test_a_real_arm_with_another_unit_is_refused(
 @pytest.mark.long
 @pytest.mark.parametrize("factor", [0.6, 0.75, 1.25, 1.6])
 def test_torque_constants_that_are_wrong_give_no_wrong_mass(
-    capsys: pytest.CaptureFixture[str], ur10e: Path, tmp_path: Path, factor: float
+    capsys: pytest.CaptureFixture[str],
+    ur10e: Path,
+    tmp_path: Path,
+    factor: float,
 ) -> None:
     """Stated as known exactly, and off by a quarter and more."""
     text = ur10e.read_text()
@@ -332,7 +383,10 @@ def test_a_real_arm_whose_two_recordings_differ_in_their_unit_is_refused(
         bag_motion(REAL / bag, Request(robot, options))
         for bag in ("ur10e_loaded_14", "ur10e_empty_14")
     )
-    loaded = replace(loaded, current_A=loaded.current_A * np.array(factors))
+    loaded = replace(
+        loaded,
+        current_A=loaded.current_A * np.array(factors),
+    )
     estimate = identify_in_motion(robot, [loaded], [empty], PayloadFacts())
     assert estimate.verdict is Verdict.REJECTED and estimate.reasons[0].code in (
         "misfit",
@@ -553,10 +607,16 @@ def test_an_object_that_was_turned_between_two_recordings_is_told_apart(
         and "times what" not in reason
     )
     robot = load_robot(ur10e)
-    turned = bag_motion(REAL / "ur10e_loaded_15", Request(robot, Options(effort_unit="A")))
+    turned = bag_motion(
+        REAL / "ur10e_loaded_15",
+        Request(robot, Options(effort_unit="A")),
+    )
     assert torque_cause(robot, turned) == ""
     # an arm that hardly moved, as its angles would be in degrees, explains any torque by offsets and a payload
-    wall = replace(robot, gravity=np.array([0.0, 6.94, -6.94]))
+    wall = replace(
+        robot,
+        gravity=np.array([0.0, 6.94, -6.94]),
+    )
     assert "degrees" not in torque_cause(wall, turned)
 
 
@@ -607,7 +667,12 @@ def test_ten_slow_seconds_weigh_what_ten_others_held(slow: Motion, late: bool) -
         robot,
         motion_calibration=fit_empty(robot, [half(slow, not late)]),
     )
-    answer = identify_in_motion(known, [half(slow, late)], [], PayloadFacts())
+    answer = identify_in_motion(
+        known,
+        [half(slow, late)],
+        [],
+        PayloadFacts(),
+    )
     assert answer.verdict is Verdict.ACCEPTED, answer.reasons
     mass = answer.values[0]
     assert isinstance(mass.value, float) and mass.value < 0.005

@@ -29,7 +29,10 @@ WAVES = {
     "b": ((0.5, 1.3), (0.2, 4.1)),
     "c": ((1.1, 0.6), (0.1, 6.0)),
 }
-real = pytest.mark.skipif(not REAL.exists(), reason="needs the real recordings")
+real = pytest.mark.skipif(
+    not REAL.exists(),
+    reason="needs the real recordings",
+)
 
 
 def positions(joint: str) -> FloatArray:
@@ -39,7 +42,11 @@ def positions(joint: str) -> FloatArray:
     )
 
 
-def velocities(joint: str, filter_s: float = 0.0, delay_s: float = 0.0) -> FloatArray:
+def velocities(
+    joint: str,
+    filter_s: float = 0.0,
+    delay_s: float = 0.0,
+) -> FloatArray:
     """In closed form, behind a filter of first order and a delay: ``Re(i w A exp(i w t) / (1 + i w a))`` of each wave."""
     parts = []
     for size, omega in WAVES[joint]:
@@ -53,13 +60,21 @@ def recording(velocity: FloatArray, stretched: float = 1.0) -> Recording:
     position = np.column_stack([positions(joint) for joint in WAVES])
     counts = np.round(position / 0.0015) * 0.0015
     times_ns = np.rint(1e9 * stretched * TIMES_S).astype(np.int64)
-    return Recording("bag", JointRecord(times_ns, tuple(WAVES), counts, velocity), None)
+    return Recording(
+        "bag",
+        JointRecord(times_ns, tuple(WAVES), counts, velocity),
+        None,
+    )
 
 
 def of_all(filter_s: float = 0.0, delay_s: float = 0.0) -> FloatArray:
     """With the noise and the counts of a real register."""
     exact = np.column_stack([velocities(joint, filter_s, delay_s) for joint in WAVES])
-    noise = np.random.default_rng(3).normal(0.0, 0.02, exact.shape)
+    noise = np.random.default_rng(3).normal(
+        0.0,
+        0.02,
+        exact.shape,
+    )
     return np.round((exact + noise) / 0.024) * 0.024
 
 
@@ -90,7 +105,10 @@ def test_another_unit_is_none_of_the_time_axis() -> None:
 
 
 def test_of_one_joint_alone_a_factor_may_be_its_unit() -> None:
-    velocity = np.full((len(TIMES_S), 3), np.nan)
+    velocity = np.full(
+        (len(TIMES_S), 3),
+        np.nan,
+    )
     velocity[:, 0] = velocities("a")
     assert pace_by_velocities(recording(velocity, 0.73)) is None
     alone = pace_by_velocities(recording(velocity))
@@ -107,7 +125,11 @@ def test_velocities_made_of_positions_say_nothing_of_time() -> None:
 def test_velocities_that_follow_nothing_say_nothing() -> None:
     assert pace_by_velocities(recording(np.random.default_rng(5).normal(size=(2000, 3)))) is None
     position = recording(of_all()).joints.position
-    silent = JointRecord(np.arange(2000) * 10**7, tuple(WAVES), position)
+    silent = JointRecord(
+        np.arange(2000) * 10**7,
+        tuple(WAVES),
+        position,
+    )
     assert pace_by_velocities(Recording("bag", silent, None)) is None
 
 
@@ -133,7 +155,12 @@ OURS = ("joint1", "joint2", "joint3", "joint4", "gripper_left_joint")
 
 
 def read(bag: Path) -> Recording:
-    return read_recording(bag, nominal_torque_constants={}, joint_order=[], states_only=True)
+    return read_recording(
+        bag,
+        nominal_torque_constants={},
+        joint_order=[],
+        states_only=True,
+    )
 
 
 @real
@@ -145,7 +172,10 @@ def test_real_registers(bag: str, stretched: float) -> None:
     whole = read(REAL / bag)
     times_ns = whole.joints.times_ns
     stamps = times_ns[0] + np.rint(stretched * (times_ns - times_ns[0])).astype(np.int64)
-    bent = replace(whole, joints=replace(whole.joints, times_ns=stamps))
+    bent = replace(
+        whole,
+        joints=replace(whole.joints, times_ns=stamps),
+    )
     pace = pace_by_velocities(bent)
     assert pace is not None
     assert pace.scale * stretched == pytest.approx(1.0, abs=0.03)
@@ -209,7 +239,10 @@ def test_a_push_with_velocities_of_another_unit_or_of_none_is_read(unit: float) 
         ),
         [run],
     )
-    refuse_pace_of_runs(replace(recording, joints=replace(record, velocity=None)), [run])
+    refuse_pace_of_runs(
+        replace(recording, joints=replace(record, velocity=None)),
+        [run],
+    )
 
 
 @pytest.mark.parametrize("times", [2, 3, 5])

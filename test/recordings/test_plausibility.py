@@ -71,7 +71,11 @@ def test_a_recording_without_traps_shows_none() -> None:
 @pytest.mark.parametrize("lag_s", [0.025, 0.047, 0.1])
 def test_velocity_that_lags_is_timed(lag_s: float) -> None:
     late = rate(TIMES_S - lag_s) + noise(0.02)
-    seen = velocity_lag_s(TIMES_S, np.round(angle(TIMES_S), 3), late)
+    seen = velocity_lag_s(
+        TIMES_S,
+        np.round(angle(TIMES_S), 3),
+        late,
+    )
     assert (
         seen is not None
         and seen[0] == pytest.approx(lag_s, abs=0.003)
@@ -130,7 +134,12 @@ def test_effort_that_is_read_seldom() -> None:
 def test_effort_that_is_the_command() -> None:
     times_ns = np.round(1e9 * TIMES_S).astype(np.int64)
     command = -3.0 * angle(TIMES_S)
-    given = InputRecord(times_ns, ("a",), command[:, None], "/current_command")
+    given = InputRecord(
+        times_ns,
+        ("a",),
+        command[:, None],
+        "/current_command",
+    )
     assert codes(recording(1.78 * command, inputs=given)) == ["effort_is_command"]
     assert codes(recording(np.roll(1.78 * command, 1) * (TIMES_S > 0.0), inputs=given)) == [
         "effort_is_command"
@@ -199,7 +208,10 @@ def test_a_few_damaged_rows_are_left_out_and_many_are_not(tmp_path: Path) -> Non
     for rows, kept in ((np.array([7, 800]), True), (np.arange(200), False)):
         position = whole.joints.position.copy()
         position[rows, 0] = -1.1e282
-        damaged = replace(whole, joints=replace(whole.joints, position=position))
+        damaged = replace(
+            whole,
+            joints=replace(whole.joints, position=position),
+        )
         path = tmp_path / f"{len(rows)}"
         write_recording(path, damaged)
         if kept:
@@ -287,7 +299,10 @@ def test_a_motion_tells_about_what_came_out_of_it(tmp_path: Path) -> None:
     """Real answers from these motions had half intervals of 56 to 250 g."""
     urdf = REAL / "models" / "ur10e.urdf"
     robot = load_robot(urdf, with_recorded_torque(urdf, {}))
-    recorded = bag_recording(REAL / "ur10e_loaded_14", Request(robot, Options(effort_unit="A")))
+    recorded = bag_recording(
+        REAL / "ur10e_loaded_14",
+        Request(robot, Options(effort_unit="A")),
+    )
     whole = motion_of(recorded, joints=list(robot.drive_trains))
     width_kg, per_kg = mass_from_motion(robot, whole)
     assert 0.05 < width_kg < 0.25 and per_kg == pytest.approx(1.96 * 0.1, rel=0.01)
@@ -309,11 +324,18 @@ def test_a_run_tells_about_what_comes_out_of_it() -> None:
         "quantised_s00_fixed_heavy_ball_50g_joint3",
         "realistic_s00_fixed_light_ball_20g_joint3",
     ):
-        (run,) = bag_runs(ROOT / "bags" / name / "bag_mcap", Request(robot))
+        (run,) = bag_runs(
+            ROOT / "bags" / name / "bag_mcap",
+            Request(robot),
+        )
         width_kg = mass_from_run(robot, run)
         assert width_kg is not None and 0.065 < width_kg < 0.15
     # a controller's current is no push
-    swinging = np.where(np.arange(6) % 2, 0.1, -0.1)
+    swinging = np.where(
+        np.arange(6) % 2,
+        0.1,
+        -0.1,
+    )
     assert (
         mass_from_run(
             robot, replace(run, input_times_s=0.05 * np.arange(6), input_current_A=swinging)

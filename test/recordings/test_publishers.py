@@ -99,7 +99,11 @@ def test_the_driver_is_kept(
 
 @pytest.mark.parametrize("rate", [1, 2])
 def test_two_that_both_move_are_refused(tape: Tape, tmp_path: Path, rate: int) -> None:
-    bent = publishers.another_arm(tape, np.random.default_rng(SEED), rate=rate)
+    bent = publishers.another_arm(
+        tape,
+        np.random.default_rng(SEED),
+        rate=rate,
+    )
     with pytest.raises(RecordingError, match=r"joint.* is at two places at once.*two publishers"):
         read(bent, tmp_path)
 

@@ -51,7 +51,10 @@ def text(words: str) -> bytes:
 
 
 def mcap_of(
-    messages: Sequence[Message], compression: str, lacks: str = "", chunk: int = 30
+    messages: Sequence[Message],
+    compression: str,
+    lacks: str = "",
+    chunk: int = 30,
 ) -> bytes:
     """A file as the specification has it, with so many messages a chunk and without message indexes, statistics or summary.
 
@@ -75,7 +78,13 @@ def mcap_of(
             places.setdefault(channel, []).append((message.time_ns, len(inner)))
             counts[channel] += 1
             raw = bytes(TYPES.serialize_cdr(message.content, message.msgtype))
-            head = struct.pack("<HIQQ", channel, number, message.time_ns, message.time_ns)
+            head = struct.pack(
+                "<HIQQ",
+                channel,
+                number,
+                message.time_ns,
+                message.time_ns,
+            )
             inner += record(0x05, head + raw)
         times_ns = [message.time_ns for message in mine]
         packed = COMPRESSIONS[compression](inner)
@@ -96,8 +105,17 @@ def mcap_of(
             for channel, entries in places.items():
                 offsets += struct.pack("<HQ", channel, len(content))
                 rows = b"".join(struct.pack("<QQ", *entry) for entry in entries)
-                content += record(0x07, struct.pack("<HI", channel, len(rows)) + rows)
-        index = struct.pack("<QQQQ", min(times_ns), max(times_ns), at, length)
+                content += record(
+                    0x07,
+                    struct.pack("<HI", channel, len(rows)) + rows,
+                )
+        index = struct.pack(
+            "<QQQQ",
+            min(times_ns),
+            max(times_ns),
+            at,
+            length,
+        )
         index += struct.pack("<I", len(offsets)) + offsets
         index += struct.pack("<Q", len(content) - of_index)
         index += text(compression) + struct.pack("<QQ", len(packed), len(inner))
@@ -110,8 +128,16 @@ def mcap_of(
             times_ns = [message.time_ns for message in messages]
             of_each = b"".join(struct.pack("<HQ", *count) for count in counts.items())
             numbers = (len(messages), len(topics), len(topics), 0, 0, len(indexes))
-            said = struct.pack("<QHIIIIQQ", *numbers, min(times_ns), max(times_ns))
-            content += record(0x0B, said + struct.pack("<I", len(of_each)) + of_each)
+            said = struct.pack(
+                "<QHIIIIQQ",
+                *numbers,
+                min(times_ns),
+                max(times_ns),
+            )
+            content += record(
+                0x0B,
+                said + struct.pack("<I", len(of_each)) + of_each,
+            )
     start = 0 if lacks == "summary" else start
     return content + record(0x02, struct.pack("<QQI", start, 0, 0)) + b"\x89MCAP0\r\n"
 
@@ -199,7 +225,10 @@ def test_a_truncated_database_is_one_line_wherever_it_is_cut(tmp_path: Path, bar
 def test_of_a_truncated_file_what_is_whole_is_read_and_it_is_said(
     tmp_path: Path, bare: bool, compression: str
 ) -> None:
-    messages = sorted(states() + commands(), key=lambda message: message.time_ns)
+    messages = sorted(
+        states() + commands(),
+        key=lambda message: message.time_ns,
+    )
     folder = write_bag(tmp_path / "bag", messages)
     file = folder / "bag.mcap"
     whole = mcap_of(messages, compression)
@@ -227,7 +256,10 @@ def test_of_a_truncated_file_what_is_whole_is_read_and_it_is_said(
 @pytest.mark.parametrize("compression", list(COMPRESSIONS))
 @pytest.mark.parametrize("lacks", ["message indexes", "summary", "statistics"])
 def test_chunks_without_an_index_are_read(tmp_path: Path, compression: str, lacks: str) -> None:
-    messages = sorted(states() + commands(), key=lambda message: message.time_ns)
+    messages = sorted(
+        states() + commands(),
+        key=lambda message: message.time_ns,
+    )
     (tmp_path / "bag.mcap").write_bytes(mcap_of(messages, compression, lacks))
     recording = read(tmp_path / "bag.mcap")
     assert recording.joints.position.tolist() == [positions(time_ns) for time_ns in times()]
@@ -280,7 +312,10 @@ def test_compressed_files_without_metadata_are_read(
 
 
 def test_a_compressed_file_that_is_cut_is_read_as_far_as_it_goes(tmp_path: Path) -> None:
-    messages = sorted(states() + commands(), key=lambda message: message.time_ns)
+    messages = sorted(
+        states() + commands(),
+        key=lambda message: message.time_ns,
+    )
     packed = tmp_path / "bag.mcap.zstd"
     content = mcap_of(messages, "", chunk=20)
     frames = b"".join(zstd.compress(content[at : at + 2000]) for at in range(0, len(content), 2000))
@@ -296,7 +331,10 @@ def test_a_compressed_file_that_is_cut_is_read_as_far_as_it_goes(tmp_path: Path)
 
 
 def test_a_recorder_that_was_killed_leaves_its_last_file_uncompressed(tmp_path: Path) -> None:
-    messages = sorted(states() + commands(), key=lambda message: message.time_ns)
+    messages = sorted(
+        states() + commands(),
+        key=lambda message: message.time_ns,
+    )
     parts = [
         mcap_of(messages[:40], ""),
         mcap_of(messages[40:], "", "summary"),
@@ -374,7 +412,11 @@ def test_a_write_ahead_log_that_was_not_merged_is_reported(tmp_path: Path) -> No
 
 
 def test_another_serialisation_is_refused(tmp_path: Path) -> None:
-    with Writer(tmp_path / "bag", version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+    with Writer(
+        tmp_path / "bag",
+        version=9,
+        storage_plugin=StoragePlugin.MCAP,
+    ) as writer:
         connection = writer.add_connection(
             "/joint_states", JOINT_STATE, typestore=TYPES, serialization_format="json"
         )

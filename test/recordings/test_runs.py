@@ -31,7 +31,10 @@ CYCLE_S = 0.025
 BAGS = Path(__file__).parents[2] / "bags"
 
 
-def cycles(end_s: float = 0.75, start_s: float = -0.25) -> FloatArray:
+def cycles(
+    end_s: float = 0.75,
+    start_s: float = -0.25,
+) -> FloatArray:
     return (
         np.arange(round(start_s / CYCLE_S), round(end_s / CYCLE_S) + 1).astype(np.float64) * CYCLE_S
     )
@@ -57,11 +60,18 @@ def recording(
     ).T
     current = np.array([currents.get(name, np.zeros(len(input_times_s))) for name in JOINTS]).T
     inputs = InputRecord(ns(input_times_s), JOINTS, current, source)
-    return Recording("bag", JointRecord(ns(times_s), JOINTS, position), inputs)
+    return Recording(
+        "bag",
+        JointRecord(ns(times_s), JOINTS, position),
+        inputs,
+    )
 
 
 def step(
-    times_s: FloatArray, start_s: float = 0.0, end_s: float = 0.6, value: float = -0.3
+    times_s: FloatArray,
+    start_s: float = 0.0,
+    end_s: float = 0.6,
+    value: float = -0.3,
 ) -> FloatArray:
     return np.where(
         (times_s > start_s - 1e-9) & (times_s < end_s - 1e-9),
@@ -105,7 +115,10 @@ def test_what_the_joint_does_after_its_run_is_carried_along_until_the_next() -> 
     # 0.9 s is 0.3 s after, but for rounding
     assert run.after_times_s == pytest.approx(0.6 + np.arange(1, 12) * CYCLE_S)
     assert run.after_position == pytest.approx(2.0 + run.after_times_s)
-    currents = {"joint3": step(times_s), "joint2": step(times_s, 0.7, 1.2)}
+    currents = {
+        "joint3": step(times_s),
+        "joint2": step(times_s, 0.7, 1.2),
+    }
     first, second = cut_runs(recording(currents, times_s), joints=ROBOT_JOINTS)
     assert first.after_times_s == pytest.approx([0.625, 0.65, 0.675]) and len(
         second.after_times_s
@@ -187,7 +200,10 @@ def test_at_most_a_second_of_rest_is_carried_along() -> None:
 
 def test_one_joint_right_after_another_are_two_runs() -> None:
     times_s = cycles(1.5)
-    currents = {"joint3": step(times_s), "joint4": step(times_s, 0.6, 1.2)}
+    currents = {
+        "joint3": step(times_s),
+        "joint4": step(times_s, 0.6, 1.2),
+    }
     first, second = cut_runs(recording(currents, times_s), joints=ROBOT_JOINTS)
     assert first.duration_s == second.duration_s == 0.6
     assert second.before_times_s.size == 0
@@ -226,7 +242,11 @@ def test_lost_commands_hold_the_last_one_and_are_reported() -> None:
     keep[15:25] = False
     input_times_s = cycles()[keep]
     (run,) = cut_runs(
-        recording({"joint3": step(input_times_s)}, input_times_s=input_times_s), joints=ROBOT_JOINTS
+        recording(
+            {"joint3": step(input_times_s)},
+            input_times_s=input_times_s,
+        ),
+        joints=ROBOT_JOINTS,
     )
     assert run.input_times_s.tolist() == [0.0]
     assert run.duration_s == 0.6
@@ -236,7 +256,11 @@ def test_lost_commands_hold_the_last_one_and_are_reported() -> None:
 def test_commands_that_stop_are_held_until_the_last_joint_state() -> None:
     input_times_s = cycles(0.5)
     (run,) = cut_runs(
-        recording({"joint3": step(input_times_s)}, input_times_s=input_times_s), joints=ROBOT_JOINTS
+        recording(
+            {"joint3": step(input_times_s)},
+            input_times_s=input_times_s,
+        ),
+        joints=ROBOT_JOINTS,
     )
     assert run.duration_s == 0.75
     assert run.times_s[-1] == 0.75
@@ -305,7 +329,10 @@ def test_a_joint_that_the_robot_does_not_drive_or_nobody_recorded() -> None:
 def test_a_push_that_was_broken_off_at_once_does_not_cost_the_others() -> None:
     times_s = cycles(end_s=4.0)
     current = step(times_s, 1.0, 1.05) + step(times_s, 2.5, 3.1)
-    (run,) = cut_runs(recording({"joint3": current}, times_s), joints=ROBOT_JOINTS)
+    (run,) = cut_runs(
+        recording({"joint3": current}, times_s),
+        joints=ROBOT_JOINTS,
+    )
     assert run.name == "bag#2" and run.duration_s == pytest.approx(0.6)
     assert any(note.startswith("left out: bag#1: only") for note in run.notes)
 
@@ -428,7 +455,10 @@ def test_measured_currents_of_motors_that_the_robot_does_not_have_are_ignored() 
         "joint3": step(cycles(), CYCLE_S),
         "gripper_left_joint": step(cycles(), CYCLE_S),
     }
-    (run,) = cut_runs(measured(currents), joints=JOINTS[:4])
+    (run,) = cut_runs(
+        measured(currents),
+        joints=JOINTS[:4],
+    )
     assert run.joint == "joint3"
 
 
@@ -490,8 +520,16 @@ def test_measured_effort_finds_the_commanded_run() -> None:
         whole = read(folder / "bag_mcap", effort_unit="N.m")
         (commanded,) = cut_runs(whole, joints=ROBOT_JOINTS)
         assert whole.joints.current is not None
-        inputs = InputRecord(whole.joints.times_ns, JOINTS, whole.joints.current, MEASURED_EFFORT)
-        (run,) = cut_runs(replace(whole, inputs=inputs), joints=ROBOT_JOINTS)
+        inputs = InputRecord(
+            whole.joints.times_ns,
+            JOINTS,
+            whole.joints.current,
+            MEASURED_EFFORT,
+        )
+        (run,) = cut_runs(
+            replace(whole, inputs=inputs),
+            joints=ROBOT_JOINTS,
+        )
         assert run.joint == commanded.joint
         assert abs(run.onset_ns - commanded.onset_ns) < 20e6
         assert run.duration_s == pytest.approx(0.6, abs=0.04)

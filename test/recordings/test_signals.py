@@ -272,7 +272,10 @@ def test_units_of_measured_effort(
 
 
 def test_the_meaning_of_effort_is_never_guessed(tmp_path: Path) -> None:
-    path = write_bag(tmp_path / "bag", states(effort=[100.0] * 5))
+    path = write_bag(
+        tmp_path / "bag",
+        states(effort=[100.0] * 5),
+    )
     with refused(r"--effort-unit N\.m\|A\|mA\|raw"):
         read(path)
     with refused(r"'counts' is not known; choose from N\.m, A, mA, raw", ConfigurationError):

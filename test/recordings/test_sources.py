@@ -35,7 +35,10 @@ def test_a_path_says_what_it_is(tmp_path: Path) -> None:
 
 def test_a_bag_is_read_piece_by_piece_and_no_piece_says_anything_of_another(tmp_path: Path) -> None:
     """A part that is cut out leaves the others whole, and each piece has its own notes."""
-    bag = write_bag(tmp_path / "folder" / "bag", [*states(), *commands()])
+    bag = write_bag(
+        tmp_path / "folder" / "bag",
+        [*states(), *commands()],
+    )
     with BagSource(bag) as source:
         whole = source.recording(OPTIONS)
         half_ns = int(whole.joints.times_ns[-1] - whole.joints.times_ns[0]) // 2
@@ -55,7 +58,13 @@ def test_what_goes_wrong_while_a_bag_is_open_is_not_said_of_the_bag(tmp_path: Pa
     bag = write_bag(tmp_path / "bag", states())
     with pytest.raises(ZeroDivisionError), BagSource(bag):
         1 / 0  # noqa: B018
-    with BagSource(bag) as source, pytest.raises(RecordingError, match="no /robot_description"):
+    with (
+        BagSource(bag) as source,
+        pytest.raises(
+            RecordingError,
+            match="no /robot_description",
+        ),
+    ):
         source.description()
 
 

@@ -34,7 +34,11 @@ SETTING = {
 TABLE = "time_s,joint3_relative_rad\n" + "".join(f"{row / 60},{-row / 50}\n" for row in range(6))
 
 
-def write_text_recording(path: Path, setting: Any = SETTING, table: str = TABLE) -> Path:
+def write_text_recording(
+    path: Path,
+    setting: Any = SETTING,
+    table: str = TABLE,
+) -> Path:
     path.mkdir()
     (path / "setting.json").write_text(setting if isinstance(setting, str) else json.dumps(setting))
     (path / "trajectory.csv").write_text(table)

@@ -151,7 +151,10 @@ def test_a_named_topic_that_does_not_fit(
     tmp_path: Path, options: dict[str, str], pattern: str
 ) -> None:
     with refused(pattern):
-        read(write_bag(tmp_path / "bag", states() + commands()), **options)
+        read(
+            write_bag(tmp_path / "bag", states() + commands()),
+            **options,
+        )
 
 
 def test_no_messages_and_no_joint_states(tmp_path: Path) -> None:
@@ -163,7 +166,11 @@ def test_no_messages_and_no_joint_states(tmp_path: Path) -> None:
         read(write_bag(tmp_path / "commands", commands()))
     with Writer(tmp_path / "silent", version=9) as writer:
         writer.add_connection("/joint_states", JOINT_STATE, typestore=TYPES)
-        writer.write(writer.add_connection("/x", FLOATS, typestore=TYPES), 1, b"\0\1\0\0")
+        writer.write(
+            writer.add_connection("/x", FLOATS, typestore=TYPES),
+            1,
+            b"\0\1\0\0",
+        )
     with refused("/joint_states .*holds no messages"):
         read(tmp_path / "silent")
     with refused("--state-topic /joint_states holds no messages"):

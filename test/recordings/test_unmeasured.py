@@ -37,7 +37,10 @@ def waves() -> tuple[FloatArray, FloatArray]:
 @pytest.mark.parametrize(("first", "end"), [(1200, 2000), (0, 400), (700, 900)])
 @pytest.mark.parametrize("columns", [[0, 1], [1]])
 def test_what_stands_still_is_left_out(
-    value: float | None, first: int, end: int, columns: list[int]
+    value: float | None,
+    first: int,
+    end: int,
+    columns: list[int],
 ) -> None:
     position, effort = waves()
     effort[first:end, columns] = effort[first, columns] if value is None else value
@@ -45,7 +48,10 @@ def test_what_stands_still_is_left_out(
     stood = np.zeros(effort.shape, dtype=bool)
     stood[first:end, columns] = True
     assert np.array_equal(np.isnan(found.current_A), stood)
-    np.testing.assert_array_equal(found.current_A[~stood], effort[~stood])
+    np.testing.assert_array_equal(
+        found.current_A[~stood],
+        effort[~stood],
+    )
     when = f"from {TIMES_S[first]:.1f} " + ("s on" if end == 2000 else f"to {TIMES_S[end - 1]:.1f}")
     which = "all joints" if len(columns) == 2 else "b"
     assert len(found.notes) == 1
@@ -102,14 +108,21 @@ def motions() -> tuple[Motion, Motion]:
     """Of an arm in MuJoCo with 1.5 kg, and with nothing."""
     twin = Twin(5, SIX)
     payload = (LOAD_KG, np.array([0.03, 0.0, 0.05]))
-    return twin.record("loaded", 24.0, payload), twin.record("empty", 24.0)
+    return twin.record(
+        "loaded",
+        24.0,
+        payload,
+    ), twin.record("empty", 24.0)
 
 
 def as_read(motion: Motion, current_A: FloatArray) -> Motion:
     """The motion that is taken from a recording of it with other efforts."""
     times_ns = np.round(1e9 * motion.times_s).astype(np.int64)
     joints = JointRecord(times_ns, motion.joints, motion.position, current=current_A)
-    return motion_of(Recording(motion.name, joints, None), joints=motion.joints)
+    return motion_of(
+        Recording(motion.name, joints, None),
+        joints=motion.joints,
+    )
 
 
 def gone(
@@ -173,7 +186,10 @@ def test_efforts_that_were_never_measured_are_refused(motions: tuple[Motion, Mot
 @pytest.mark.parametrize("value", [0.0, np.nan])
 @pytest.mark.parametrize("lost", [0, 1])
 def test_a_joint_that_was_never_measured_counts_for_nothing(
-    robot: Robot, motions: tuple[Motion, Motion], value: float, lost: int
+    robot: Robot,
+    motions: tuple[Motion, Motion],
+    value: float,
+    lost: int,
 ) -> None:
     """In the loaded or in the empty motion alone: else its torque would be explained by nothing, and that perfectly."""
     both = list(motions)

@@ -35,7 +35,10 @@ POINT = {"payload.com": [0.0, 0.0, 0.0], "payload.shape": "point"}
 
 
 def robot_file(
-    folder: Path, driven_by: str = SERVO, more: str = "", delay: str = "{value: 0.02, std: 0.01}"
+    folder: Path,
+    driven_by: str = SERVO,
+    more: str = "",
+    delay: str = "{value: 0.02, std: 0.01}",
 ) -> Path:
     pendulum_urdf(folder, "servo", 0.01, 0.1)
     path = folder / "servo.yaml"
@@ -121,7 +124,10 @@ def test_a_position_servo_pushes_towards_its_goal_beyond_a_dead_band_and_up_to_a
     duty = servo.duty(
         np.array([0.5, 1.05, 1.15, 1.2]), np.array([0.005, 0.0, 0.0, 1.0]), None, goal, 0.1
     )
-    np.testing.assert_allclose(duty, [0.0, 0.0, 0.2, -0.5])
+    np.testing.assert_allclose(
+        duty,
+        [0.0, 0.0, 0.2, -0.5],
+    )
 
 
 def test_a_goal_moves_no_faster_than_the_firmware_lets_it() -> None:
@@ -130,7 +136,10 @@ def test_a_goal_moves_no_faster_than_the_firmware_lets_it() -> None:
         np.array([0.0, 1.0]),
     )
     np.testing.assert_allclose(
-        goal.at(np.array([0.5, 1.1, 1.3]), 5.0),
+        goal.at(
+            np.array([0.5, 1.1, 1.3]),
+            5.0,
+        ),
         [0.0, 0.5, 1.0],
         atol=0.02,
     )
@@ -220,11 +229,17 @@ def test_a_duty_cycle_needs_no_goal_and_no_unit(
     stated = load_robot(robot_file(tmp_path, DUTY, more="      supply_voltage_V: 12.0\n"))
     without = write(tmp_path / "no_voltage", rows, counts, ())
     motion = load(without, Request(stated)).found
-    np.testing.assert_allclose(motion.current_A[:, 0], 6e-3 * counts)
+    np.testing.assert_allclose(
+        motion.current_A[:, 0],
+        6e-3 * counts,
+    )
     assert "12 V as stated" in motion.source
 
 
-def test_what_is_missing_is_said_in_one_line(tmp_path: Path, rows: dict[str, np.ndarray]) -> None:
+def test_what_is_missing_is_said_in_one_line(
+    tmp_path: Path,
+    rows: dict[str, np.ndarray],
+) -> None:
     servo = load_robot(robot_file(tmp_path))
     with pytest.raises(RecordingError, match="/joint_command"):
         bag_recording(
@@ -243,7 +258,10 @@ def test_what_is_missing_is_said_in_one_line(tmp_path: Path, rows: dict[str, np.
         bag_recording(tmp_path / "a", Request(duty))
 
 
-def test_check_says_what_drives_the_joint(tmp_path: Path, rows: dict[str, np.ndarray]) -> None:
+def test_check_says_what_drives_the_joint(
+    tmp_path: Path,
+    rows: dict[str, np.ndarray],
+) -> None:
     # a magnitude of the current, without sign and stale, does not matter to what follows from goal and position
     stale = np.repeat(np.abs(rows["duty"])[::25], 25)[: len(rows["t"])]
     bag = write(tmp_path / "bag", rows, stale)
@@ -260,9 +278,15 @@ def test_check_says_what_drives_the_joint(tmp_path: Path, rows: dict[str, np.nda
     assert "a voltage drives pendulum (position_servo in servo.yaml)" in check.as_text()
 
 
-def test_without_known_loads_no_mass_is_said(tmp_path: Path, rows: dict[str, np.ndarray]) -> None:
+def test_without_known_loads_no_mass_is_said(
+    tmp_path: Path,
+    rows: dict[str, np.ndarray],
+) -> None:
     bag = write(tmp_path / "bag", rows)
-    estimate = replay(bag, Options(robot=str(robot_file(tmp_path))))
+    estimate = replay(
+        bag,
+        Options(robot=str(robot_file(tmp_path))),
+    )
     assert estimate.values[0].value is None and estimate.verdict is not Verdict.ACCEPTED
     with pytest.raises(RecordingError, match="3 at least"):
         calibrate_from_bags(
@@ -297,7 +321,10 @@ def test_the_spread_is_what_errors_exceed_their_own_word_by() -> None:
 
 
 def test_the_delay_is_looked_for_where_it_was_stated() -> None:
-    found = best_delay(lambda delay_s: (delay_s - 0.03) ** 2, Quantity(0.02, 0.01))
+    found = best_delay(
+        lambda delay_s: (delay_s - 0.03) ** 2,
+        Quantity(0.02, 0.01),
+    )
     assert found == Quantity(0.03, 0.0)
     assert best_delay(lambda delay_s: (delay_s - 0.03) ** 2, Quantity(0.0, 0.01)).value == 0.02
 
@@ -316,14 +343,21 @@ def test_a_servo_is_weighed_by_motions_with_known_loads(tmp_path: Path) -> None:
     read = load_robot(tmp_path / "known.yaml")
     assert read.delay.std == 0.0 and read.delay.value == pytest.approx(0.025, abs=0.005)
     assert read.joint_calibration is not None and learnt.joint is not None
-    np.testing.assert_allclose(read.joint_calibration.without, learnt.joint.without, rtol=1e-12)
+    np.testing.assert_allclose(
+        read.joint_calibration.without,
+        learnt.joint.without,
+        rtol=1e-12,
+    )
     scale, armature = learnt.joint.values[:2]
     assert scale == pytest.approx(1.0 / 1.3, rel=0.05) and armature / scale == pytest.approx(
         0.01, abs=0.004
     )
     for seed, kg in ((10, 0.35), (11, 0.55)):
         bag = write(tmp_path / f"asked{seed}", driven(kg, seed))
-        estimate = replay(bag, Options(calibration=tmp_path / "known.yaml", settings=POINT))
+        estimate = replay(
+            bag,
+            Options(calibration=tmp_path / "known.yaml", settings=POINT),
+        )
         mass = estimate.values[0]
         assert estimate.verdict is Verdict.ACCEPTED, estimate.reasons
         assert mass.ci95[0] < kg < mass.ci95[1] and mass.value == pytest.approx(kg, rel=0.08)
@@ -368,7 +402,10 @@ OTHERS: dict[str, dict[str, float]] = {
 def test_another_servo_or_gain_than_the_one_that_was_calibrated_is_named(
     calibrated: Path, tmp_path: Path, other: str
 ) -> None:
-    bag = write(tmp_path / "asked", driven(0.45, 21, **OTHERS[other]))
+    bag = write(
+        tmp_path / "asked",
+        driven(0.45, 21, **OTHERS[other]),
+    )
     estimate = replay(bag, Options(calibration=calibrated, settings=POINT))
     assert estimate.values[0].value is None
     codes = [getattr(reason, "code", "") for reason in estimate.reasons]
@@ -408,7 +445,11 @@ def test_known_loads_do_not_make_a_torque_of_a_stale_magnitude(tmp_path: Path) -
     robot.write_text(robot.read_text().replace(f"      driven_by: {SERVO}\n", ""))
     references = {REAL / f"sts3215_{motion}_1.168kg": 1.168 for motion in STS}
     references |= {REAL / f"sts3215_{motion}_0.535kg": 0.535 for motion in STS}
-    options = Options(robot=str(robot), settings=STS_OBJECT, effort_unit="mA")
+    options = Options(
+        robot=str(robot),
+        settings=STS_OBJECT,
+        effort_unit="mA",
+    )
     learnt = calibrate_from_bags([], references, options, tmp_path / "known.yaml")
     assert learnt.verdict is Verdict.REJECTED and "what drives the motor" in learnt.reasons[0]
     assert not (tmp_path / "known.yaml").exists()

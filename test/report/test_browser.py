@@ -53,7 +53,10 @@ return { words, shown, before, near, zoomed, again, gone: tip.hidden };
 
 
 @pytest.fixture(scope="module")
-def pages(bags: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+def pages(
+    bags: Path,
+    tmp_path_factory: pytest.TempPathFactory,
+) -> dict[str, Path]:
     """Every page that the tool writes, with names as long as folders may be; one of each way of weighing and calibrating."""
     folder = tmp_path_factory.mktemp("pages")
     weighed = replay([bags / "quantised_s00_fixed_heavy_ball_50g_joint3" / "bag_mcap"])
@@ -95,7 +98,10 @@ def pages(bags: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Pat
     options = Options(
         probe="contents", baseline=[bottle / f"baseline_{n}" for n in (0, 3)], settings=settings
     )
-    inside = replay([bottle / f"run_{n}" for n in (0, 3)], options)
+    inside = replay(
+        [bottle / f"run_{n}" for n in (0, 3)],
+        options,
+    )
     write_report(inside, folder / "contents.html", command="proprio replay", sources=[LONG_NAME])
     _motion_pages(folder)
     _swing_pages(folder)
@@ -148,7 +154,11 @@ def _motion_pages(folder: Path) -> None:
         folder / "motion.html",
         command=f"proprio replay {LONG_NAME}",
     )
-    learnt = calibrate_from_bags(empty, {}, replace(options, baseline=[]))
+    learnt = calibrate_from_bags(
+        empty,
+        {},
+        replace(options, baseline=[]),
+    )
     write_calibration_report(learnt, folder / "motion_calibration.html", sources=[LONG_NAME])
 
 
@@ -195,10 +205,16 @@ def _servo_pages(folder: Path) -> None:
         write(folder / f"servo_{n}", servo.moved(kg, random, 50.0)) for n, kg in enumerate(masses)
     )
     references = dict(zip(known, masses, strict=False))
-    options = Options(robot=str(folder / "servo.yaml"), settings=servos.POINT)
+    options = Options(
+        robot=str(folder / "servo.yaml"),
+        settings=servos.POINT,
+    )
     learnt = calibrate_from_bags([], references, options, output)
     write_calibration_report(learnt, folder / "servo_calibration.html", sources=[LONG_NAME])
-    weighed = replay([bag], Options(calibration=output, settings=servos.POINT))
+    weighed = replay(
+        [bag],
+        Options(calibration=output, settings=servos.POINT),
+    )
     write_report(weighed, folder / "servo.html", command=f"proprio replay {LONG_NAME}")
 
 
@@ -224,7 +240,10 @@ Bright = dict[tuple[str, int | str], dict[str, Any]]
 
 
 @pytest.fixture(scope="module")
-def bright(pages: dict[str, Path], look: Look) -> Bright:
+def bright(
+    pages: dict[str, Path],
+    look: Look,
+) -> Bright:
     """What is measured on each page: by width, and on paper."""
     seen = look.frames(
         MEASURE,
@@ -261,7 +280,9 @@ def test_nothing_is_wider_than_the_window(bright: Bright, name: str, width: int)
 
 @pytest.mark.parametrize("name", NAMES)
 def test_bright_on_dark_where_the_reader_wants_that(
-    bright: Bright, dark: dict[str, dict[str, Any]], name: str
+    bright: Bright,
+    dark: dict[str, dict[str, Any]],
+    name: str,
 ) -> None:
     light = bright[name, 1400]
     night = dark[name]
@@ -302,7 +323,10 @@ def test_values_under_the_pointer_and_a_closer_look(
     assert [float(label) for label in seen["near"]] == pytest.approx(
         [0.2, 0.22, 0.24, 0.26, 0.28, 0.3], abs=1e-9
     )
-    begin, _, length, _ = map(float, seen["zoomed"].split())
+    begin, _, length, _ = map(
+        float,
+        seen["zoomed"].split(),
+    )
     assert 0.0 < begin < begin + length < 552.0
 
 

@@ -46,11 +46,19 @@ def loaded() -> tuple[Motion, Motion]:
 
 
 @pytest.fixture(scope="module")
-def weighed(folder: Path, loaded: tuple[Motion, Motion]) -> Weighing:
+def weighed(
+    folder: Path,
+    loaded: tuple[Motion, Motion],
+) -> Weighing:
     bar, empty = (
         write_bag(folder / motion.name, motion, constants=SIX.constants) for motion in loaded
     )
-    return weigh(bar, baseline=empty, robot=write_robot(folder), effort_unit="N.m")
+    return weigh(
+        bar,
+        baseline=empty,
+        robot=write_robot(folder),
+        effort_unit="N.m",
+    )
 
 
 @pytest.fixture(scope="module")
@@ -78,7 +86,10 @@ def test_what_is_drawn_is_what_was_recorded_and_fitted(
     write_report(estimate, tmp_path / "page.html")
     drawn = curves((tmp_path / "page.html").read_text(), "explained")
     assert len(drawn) == 6
-    most = max(estimate.joint_fits, key=lambda fit: fit.told.sum())
+    most = max(
+        estimate.joint_fits,
+        key=lambda fit: fit.told.sum(),
+    )
     assert drawn[0] == pytest.approx(
         np.stack([most.times_s, most.explained], axis=1), abs=2e-3 * np.ptp(most.explained)
     )
@@ -131,7 +142,10 @@ def test_what_is_withheld_is_said_in_words(estimate: Estimate, tmp_path: Path) -
         "payload_inertia", "kg m^2", none, none, none, "too little is held to say how it is spread"
     )
     write_report(
-        replace(estimate, values=(*estimate.values[:2], withheld)),
+        replace(
+            estimate,
+            values=(*estimate.values[:2], withheld),
+        ),
         tmp_path / "page.html",
     )
     _, text = read(tmp_path / "page.html")
@@ -154,7 +168,11 @@ def test_a_terminal_has_the_digits_of_the_page(estimate: Estimate) -> None:
 def test_the_page_of_a_calibration_shows_what_the_arm_explains(
     folder: Path, loaded: tuple[Motion, Motion], tmp_path: Path
 ) -> None:
-    bag = write_bag(folder / "learnt", loaded[1], constants=SIX.constants)
+    bag = write_bag(
+        folder / "learnt",
+        loaded[1],
+        constants=SIX.constants,
+    )
     learnt = calibrate(bag, robot=write_robot(folder), effort_unit="N.m")
     fits = learnt.estimate.joint_fits
     assert [fit.joint for fit in fits] == list(SIX.joints) and not any(

@@ -80,7 +80,12 @@ def test_words_of_strangers_stay_words(estimate: Estimate, tmp_path: Path) -> No
         robot=hostile,
         reasons=(hostile,),
         notes=(hostile,),
-        run_fits=(replace(estimate.run_fits[0], name=hostile),),
+        run_fits=(
+            replace(
+                estimate.run_fits[0],
+                name=hostile,
+            ),
+        ),
         values=(
             *estimate.values,
             Value(
@@ -254,7 +259,11 @@ def test_the_command_can_be_pasted_into_a_shell(bags: Path, tmp_path: Path) -> N
         str(page),
     ]
     assert main(given) in (0, 3)
-    [command] = re.findall(r"<pre>(.*?)</pre>", page.read_text(), flags=re.S)
+    [command] = re.findall(
+        r"<pre>(.*?)</pre>",
+        page.read_text(),
+        flags=re.S,
+    )
     assert shlex.split(html.unescape(command)) == ["proprio", *given]
     assert f"'{folder / 'bag_mcap'}'" in html.unescape(command)
     words = read(page)[1]

@@ -15,7 +15,10 @@ POSE = {"joint1": 0.4, "joint2": -0.9, "joint3": 0.7, "joint4": 0.3, "gripper_le
 STEP = 1e-5
 
 
-def potential_J(robot: Robot, pose: dict[str, float]) -> float:
+def potential_J(
+    robot: Robot,
+    pose: dict[str, float],
+) -> float:
     """Of all links, from their heights."""
     total = 0.0
     for link in robot.model.links:

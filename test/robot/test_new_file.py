@@ -92,7 +92,10 @@ def test_until_then_all_that_is_missing_is_named(
     assert "_per_rad (slide per rad of the motor) of finger; state each" in said
 
 
-def test_an_older_file_is_kept(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_older_file_is_kept(
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     written(tmp_path)
     (tmp_path / "new.yaml").write_text("mine")
     words = [
@@ -167,7 +170,10 @@ def test_a_bag_without_one_description(tmp_path: Path) -> None:
 
 
 def bag(
-    path: Path, storage: StoragePlugin, texts: list[str], topic: str = "/robot_description"
+    path: Path,
+    storage: StoragePlugin,
+    texts: list[str],
+    topic: str = "/robot_description",
 ) -> None:
     types = message_types()
     with Writer(path, version=9, storage_plugin=storage) as writer:

@@ -38,7 +38,8 @@ UR5E_DH = (
 
 @pytest.mark.parametrize(("name", "table"), [("ur10e", UR10E_DH), ("ur5e", UR5E_DH)])
 def test_a_ur_is_where_its_table_says(
-    name: str, table: tuple[tuple[float, float, float, float], ...]
+    name: str,
+    table: tuple[tuple[float, float, float, float], ...],
 ) -> None:
     robot = load_robot(name)
     random = np.random.default_rng(4)
@@ -183,7 +184,10 @@ def test_the_ur10e_weighs_real_recordings(capsys: pytest.CaptureFixture[str]) ->
         ([0.3, 0.4, -0.5, 0.6, 0.7, 0.0], [0.3913, -0.1144, 0.1463]),
     ],
 )
-def test_the_so101_is_where_its_makers_drew_it(angles: list[float], grasp_m: list[float]) -> None:
+def test_the_so101_is_where_its_makers_drew_it(
+    angles: list[float],
+    grasp_m: list[float],
+) -> None:
     """Between the jaws, by the makers' own model."""
     robot = load_robot("so101")
     joints = ("shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll", "gripper")
@@ -228,7 +232,10 @@ def test_the_so101_is_where_its_makers_drew_it(angles: list[float], grasp_m: lis
     ],
 )
 def test_arms_are_where_their_makers_drew_them(
-    name: str, angles: list[float], hand_m: list[float], mass_kg: float
+    name: str,
+    angles: list[float],
+    hand_m: list[float],
+    mass_kg: float,
 ) -> None:
     robot = load_robot(name)
     pose = dict(zip(robot.model.independent_joints, angles, strict=True))

@@ -49,7 +49,10 @@ def test_minimal_robot_file(folder: Path) -> None:
     assert drive.usable_velocity == math.inf
     assert robot.motors["a"].id is None
     assert (robot.delay.value, robot.arm_scale.value, robot.is_calibrated()) == (0.0, 1.0, False)
-    np.testing.assert_array_equal(robot.gravity, [0.0, 0.0, -9.81])
+    np.testing.assert_array_equal(
+        robot.gravity,
+        [0.0, 0.0, -9.81],
+    )
     assert robot.source == folder / "arm.yaml"
 
 
@@ -184,7 +187,11 @@ BAD_FILES = {
         "joints: [a]",
         "joints: expected keys and values, got ['a']",
     ),
-    "no joints": (MINIMAL[MINIMAL.index("joints:") :], "", "joints is missing or empty"),
+    "no joints": (
+        MINIMAL[MINIMAL.index("joints:") :],
+        "",
+        "joints is missing or empty",
+    ),
     "other URDF": ("name: arm", "name: arm\nmodel_fingerprint: abc", "was made with another URDF"),
     "extends nothing": ("name: arm", "extends: leg", "unknown robot 'leg'; known robots: "),
     "extends itself": (
@@ -439,7 +446,10 @@ def test_a_fingers_travel_as_measured(folder: Path) -> None:
     ],
 )
 def test_a_fingers_travel_that_cannot_be(
-    folder: Path, at_rad: list[float], open_m: list[float], message: str
+    folder: Path,
+    at_rad: list[float],
+    open_m: list[float],
+    message: str,
 ) -> None:
     (folder / "arm.urdf").write_text(THREE.replace("revolute", "prismatic", 1))
     (folder / "arm.yaml").write_text(MINIMAL + TRAVELS % (at_rad, open_m))
@@ -511,7 +521,12 @@ def test_overrides_by_dotted_keys(folder: Path) -> None:
         ("joints.b.motor.id", 3, "arm.yaml: missing: motor.nominal_torque_constant_N_m_per_A of b"),
     ],
 )
-def test_bad_overrides_are_refused(folder: Path, key: str, value: object, message: str) -> None:
+def test_bad_overrides_are_refused(
+    folder: Path,
+    key: str,
+    value: object,
+    message: str,
+) -> None:
     with pytest.raises(RobotError) as caught:
         load_robot(folder / "arm.yaml").with_overrides({key: value})
     assert message in str(caught.value)
@@ -529,7 +544,13 @@ def test_joint_names_with_dots_can_be_overridden(folder: Path) -> None:
 
 def test_goals_of_another_clock_are_refused() -> None:
     """One that was stamped decades away asked for terabytes."""
-    goal = Goal(np.array([0.0, 1.0]), np.zeros(2))
+    goal = Goal(
+        np.array([0.0, 1.0]),
+        np.zeros(2),
+    )
     assert goal.at(np.array([0.5, 2.0]), 1.0).shape == (2,)
     with pytest.raises(RecordingError, match="stamp both by one clock"):
-        goal.at(np.array([0.5, 2.0**31]), 1.0)
+        goal.at(
+            np.array([0.5, 2.0**31]),
+            1.0,
+        )

@@ -252,7 +252,11 @@ def test_holding_joints_leaves_their_rows_out(seed: int) -> None:
 
 def test_pendulum_is_the_textbook_one() -> None:
     robot = load_robot("pendulum")
-    reduced = robot.model.lock(["pivot"], {}, robot.gravity)
+    reduced = robot.model.lock(
+        ["pivot"],
+        {},
+        robot.gravity,
+    )
     for angle in (-2.0, 0.0, 0.3):
         mass, bias = mass_matrix_and_bias(
             reduced,
@@ -280,7 +284,11 @@ def test_open_manipulator_matches_independent_numbers() -> None:
         ("joint4", 0.077, 0.0013),
     ):
         reduced = robot.model.lock([name], home, robot.gravity)
-        mass, bias = mass_matrix_and_bias(reduced, np.zeros(1), np.zeros(1))
+        mass, bias = mass_matrix_and_bias(
+            reduced,
+            np.zeros(1),
+            np.zeros(1),
+        )
         assert abs(bias[0]) / robot.drive_trains[name].nominal_torque_constant == pytest.approx(
             current_A, abs=0.0005
         )
@@ -392,14 +400,24 @@ BAD_LOCKS = {
     "unknown": (THREE, ["elbow"], {}, "arm has no joint 'elbow'; its joints: a, b, c"),
     "none": (THREE, [], {}, "no joint of arm was chosen to move; choose from: a, b"),
     "fixed": (THREE, ["c"], {}, "joint 'c' of arm is fixed and cannot move; choose from: a, b"),
-    "twice": (THREE, ["a", "a"], {"b": 0.0}, "joint 'a' of arm was chosen to move twice"),
+    "twice": (
+        THREE,
+        ["a", "a"],
+        {"b": 0.0},
+        "joint 'a' of arm was chosen to move twice",
+    ),
     "missing": (
         THREE,
         ["a"],
         {},
         "no position of joint 'b' of arm is known: state it with --set held.b=VALUE",
     ),
-    "NaN": (THREE, ["a"], {"b": math.nan}, "the position of joint 'b' is nan"),
+    "NaN": (
+        THREE,
+        ["a"],
+        {"b": math.nan},
+        "the position of joint 'b' is nan",
+    ),
     "follower": (FOLLOWED, ["b"], {}, "joint 'b' of arm only follows 'a'; choose from: a, c"),
     "followed": (FOLLOWED, ["a"], {"c": 0.0}, "joint 'a' of arm drives 'b' too"),
     "massless": (
@@ -432,7 +450,11 @@ def test_bad_lock_is_refused_in_one_line(
 def test_bad_gravity_and_unknown_frame_are_refused() -> None:
     model = RobotModel.from_urdf_string(THREE)
     with pytest.raises(RobotError, match="gravity must be three finite numbers"):
-        model.lock(["a"], {"b": 0.0}, [0.0, -9.81])
+        model.lock(
+            ["a"],
+            {"b": 0.0},
+            [0.0, -9.81],
+        )
     with pytest.raises(
         RobotError, match="arm has no link 'hand'; its links: base, one, two, three"
     ):

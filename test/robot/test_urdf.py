@@ -31,7 +31,10 @@ BAD_URDF = {
     "mass is no number": (inertial(mass="heavy"), "value='heavy' of <mass> is no number"),
     "two masses": (inertial(mass="1 2"), "value of <mass> must be one number, got 2"),
     "infinite inertia": (inertial(ixx="inf"), "ixx='inf' of <inertia> must be finite"),
-    "zero inertia": (inertial(ixx="0", iyy="0", izz="0"), "not positive definite"),
+    "zero inertia": (
+        inertial(ixx="0", iyy="0", izz="0"),
+        "not positive definite",
+    ),
     "indefinite": (inertial(ixy="0.02"), "link 'one': the inertia is not positive definite"),
     "triangle": (inertial(izz="0.0201"), "link 'one': the inertia breaks the triangle inequality"),
     "triangle by products": (inertial(ixx="0.02", ixy="0.009"), "triangle inequality"),
@@ -41,7 +44,10 @@ BAD_URDF = {
         ),
         "link 'one': <inertial> needs both <mass> and <inertia>",
     ),
-    "inertia without izz": (chain(joint("a")).replace(' izz="0.01"', ""), "<inertia> has no izz"),
+    "inertia without izz": (
+        chain(joint("a")).replace(' izz="0.01"', ""),
+        "<inertia> has no izz",
+    ),
     "unknown parent": (
         chain(joint("a", parent="bsae")),
         "joint 'a' names an unknown parent link 'bsae'; links: base, one",

@@ -36,7 +36,11 @@ def stress(
     return mu * w + lam * u, (mu * by_f + lam * first[:, None] * j_by_f).reshape(-1, 3, 3), tangent
 
 
-def deformations(count: int, spread: float, seed: int = 3) -> np.ndarray:
+def deformations(
+    count: int,
+    spread: float,
+    seed: int = 3,
+) -> np.ndarray:
     return np.eye(3) + spread * np.random.default_rng(seed).normal(size=(count, 3, 3))
 
 
@@ -90,11 +94,17 @@ def test_formulae_as_published() -> None:
     j = np.linalg.det(f)
     ic = np.einsum("mab,mab->m", f, f)
     eq4 = mu / 2 * (ic - 3) - mu * np.log(j) + lam / 2 * np.log(j) ** 2
-    np.testing.assert_allclose(stress("log", f, mu, lam)[0], eq4)
+    np.testing.assert_allclose(
+        stress("log", f, mu, lam)[0],
+        eq4,
+    )
     # Smith 2018 with its rest constant a = 1 + mu' / lambda' and without its logarithm, lambda' = lambda + mu
     shift = 1 + mu / (lam + mu)
     smith = mu / 2 * (ic - 3) + (lam + mu) / 2 * ((j - shift) ** 2 - (1 - shift) ** 2)
-    np.testing.assert_allclose(stress("smith", f, mu, lam)[0], smith)
+    np.testing.assert_allclose(
+        stress("smith", f, mu, lam)[0],
+        smith,
+    )
     # what warp.sim computed: P = mu F (1 - 1 / (Ic + 1)) + lambda (J - alpha) dJ/dF
     alpha = 1 + mu / lam - mu / (4 * lam)
     by_f = j[:, None, None] * np.linalg.inv(f).swapaxes(1, 2)
@@ -116,7 +126,11 @@ def test_turning_the_block_costs_nothing(law: str) -> None:
     np.testing.assert_allclose(turned, energy, rtol=1e-12)
     np.testing.assert_allclose(force_turned, turn @ force, atol=1e-9)
     cauchy = force @ f.swapaxes(1, 2)
-    np.testing.assert_allclose(cauchy, cauchy.swapaxes(1, 2), atol=1e-9)
+    np.testing.assert_allclose(
+        cauchy,
+        cauchy.swapaxes(1, 2),
+        atol=1e-9,
+    )
 
 
 def test_the_papers_pair_under_warp_is_auxetic() -> None:

@@ -71,7 +71,11 @@ def test_slide_under_constant_force_is_a_parabola() -> None:
         0.1 + v0 * times + 0.5 * acceleration * times**2,
         atol=1e-13,
     )
-    np.testing.assert_allclose(v[0], v0 + acceleration * times, atol=1e-13)
+    np.testing.assert_allclose(
+        v[0],
+        v0 + acceleration * times,
+        atol=1e-13,
+    )
 
 
 def test_viscous_decay() -> None:
@@ -144,7 +148,11 @@ def test_back_emf_limits_the_speed() -> None:
         0.5 * 1.78 / 0.02 * 0.02,
         rtol=1e-9,
     )  # not limited yet
-    np.testing.assert_allclose(v[0, 1], 12.0 / 2.49, rtol=1e-6)
+    np.testing.assert_allclose(
+        v[0, 1],
+        12.0 / 2.49,
+        rtol=1e-6,
+    )
     braking = JointRun(
         np.array([0.01]),
         np.zeros(1),
@@ -222,7 +230,10 @@ def test_against_an_independent_solver(delay: float) -> None:
     run = JointRun(
         times, switches, currents, friction_velocity=vs, step_s=1 / 240, fine_step_s=1 / 20000
     )
-    q, _ = JointSimulator([run]).rollout(ONE, parameters(**law))
+    q, _ = JointSimulator([run]).rollout(
+        ONE,
+        parameters(**law),
+    )
     np.testing.assert_allclose(q[0], exact, atol=2e-8)
 
 
@@ -267,8 +278,14 @@ def test_semi_implicit_is_equation_two_to_the_letter() -> None:
 
 
 def test_runs_of_different_length_share_a_launch() -> None:
-    short = constant_run(np.array([0.1, 0.2]), current=0.1)
-    long = constant_run(np.linspace(0.01, 0.6, 30), current=-0.2)
+    short = constant_run(
+        np.array([0.1, 0.2]),
+        current=0.1,
+    )
+    long = constant_run(
+        np.linspace(0.01, 0.6, 30),
+        current=-0.2,
+    )
     both = JointSimulator([short, long])
     law = parameters(torque_constant=1.5, gravity_cos=0.1)
     q, _ = both.rollout(

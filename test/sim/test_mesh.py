@@ -20,7 +20,8 @@ SIZES = [
 
 @pytest.mark.parametrize(("size", "cells"), SIZES)
 def test_the_tetrahedra_fill_the_box_without_cracks(
-    size: tuple[float, ...], cells: tuple[int, int, int]
+    size: tuple[float, ...],
+    cells: tuple[int, int, int],
 ) -> None:
     mesh = box(np.array(size), cells)
     assert len(mesh.tets) == 5 * np.prod(cells)
@@ -50,7 +51,10 @@ def test_the_tetrahedra_fill_the_box_without_cracks(
 
 def test_the_parity_alternates() -> None:
     """Without it the neighbours of an inner face would be cut along different diagonals, and both sides would be surface."""
-    mesh = box(np.ones(3), (3, 2, 2))
+    mesh = box(
+        np.ones(3),
+        (3, 2, 2),
+    )
     assert len(mesh.surface) == 2 * 2 * (3 * 2 + 2 * 2 + 2 * 3)
 
 
@@ -74,7 +78,11 @@ def test_linear_functions_are_exact() -> None:
     )
     slope = np.array([[1.0, 2.0, -0.5], [0.3, 0.7, 0.1], [0.0, -0.4, 1.2]])
     moved = mesh.points @ slope.T
-    gradient = np.einsum("mka,mkb->mab", moved[mesh.tets], mesh.gradients)
+    gradient = np.einsum(
+        "mka,mkb->mab",
+        moved[mesh.tets],
+        mesh.gradients,
+    )
     np.testing.assert_allclose(
         gradient,
         np.broadcast_to(slope, gradient.shape),
@@ -104,7 +112,10 @@ def test_bad_boxes(
 
 
 def test_bad_meshes() -> None:
-    good = box(np.ones(3), (1, 1, 1))
+    good = box(
+        np.ones(3),
+        (1, 1, 1),
+    )
     alone = np.arange(2)
     far = np.concatenate([good.points, good.points + 5.0])
     twice = np.concatenate([good.tets, good.tets + 8])
@@ -122,7 +133,12 @@ def test_bad_meshes() -> None:
             good.cells,
             "belong to no tetrahedron",
         ),
-        (far, twice, np.tile(good.cells, 2), "2 pieces"),
+        (
+            far,
+            twice,
+            np.tile(good.cells, 2),
+            "2 pieces",
+        ),
         (
             np.tile(good.points, (2, 1)),
             twice,
@@ -130,7 +146,12 @@ def test_bad_meshes() -> None:
             "same place",
         ),
         (good.points, good.tets, alone, "one cell number"),
-        (good.points * np.nan, good.tets, good.cells, "finite"),
+        (
+            good.points * np.nan,
+            good.tets,
+            good.cells,
+            "finite",
+        ),
     ]
     for points, tets, cells, says in cases:
         with pytest.raises(ConfigurationError, match=says):
@@ -164,7 +185,10 @@ def test_without_meshio_it_says_what_to_install(
         read_mesh(tmp_path / "block.vtk")
 
 
-def test_bad_mesh_files(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_bad_mesh_files(
+    tmp_path: Path,
+    capfd: pytest.CaptureFixture[str],
+) -> None:
     meshio = pytest.importorskip("meshio")
     with pytest.raises(ConfigurationError, match="no such mesh file"):
         read_mesh(tmp_path / "none.vtk")
@@ -180,7 +204,12 @@ def test_bad_mesh_files(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> No
         flat,
         meshio.Mesh(
             np.eye(3),
-            [("triangle", np.array([[0, 1, 2]]))],
+            [
+                (
+                    "triangle",
+                    np.array([[0, 1, 2]]),
+                )
+            ],
         ),
     )
     with pytest.raises(ConfigurationError, match=r"no tetrahedra \(but triangle\)"):

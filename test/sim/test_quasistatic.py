@@ -20,7 +20,10 @@ MATERIALS = [(749.6, 264.3), HEAVY, lame(1e4, 0.45)]
 
 
 def cube(n: int) -> TetMesh:
-    return box(np.full(3, EDGE), (n, n, n))
+    return box(
+        np.full(3, EDGE),
+        (n, n, n),
+    )
 
 
 def octant(n: int) -> TetMesh:
@@ -32,7 +35,12 @@ def octant(n: int) -> TetMesh:
     )
 
 
-def uniaxial(law: str, stretch: float, mu: float, lam: float) -> float:
+def uniaxial(
+    law: str,
+    stretch: float,
+    mu: float,
+    lam: float,
+) -> float:
     """Nominal pressure on free sides [Pa]: the side stress, written out by hand, is zero at the side's stretch s."""
 
     def nominal(one: float, other: float) -> float:
@@ -61,7 +69,10 @@ def uniaxial(law: str, stretch: float, mu: float, lam: float) -> float:
 @pytest.mark.parametrize("cells", [(1, 1, 1), (2, 2, 2), (3, 2, 4), (5, 1, 2)])
 @pytest.mark.parametrize(("mu", "lam"), MATERIALS)
 def test_frictionless_faces_have_a_closed_form(
-    law: str, cells: tuple[int, int, int], mu: float, lam: float
+    law: str,
+    cells: tuple[int, int, int],
+    mu: float,
+    lam: float,
 ) -> None:
     size = np.array([0.03, 0.02, 0.025])
     curve = QuasiStatic(box(size, cells), law, "frictionless").curve(
@@ -73,7 +84,10 @@ def test_frictionless_faces_have_a_closed_form(
 
 def uncelled(mesh: TetMesh) -> TetMesh:
     """Every tetrahedron keeps its volume by itself."""
-    return replace(mesh, cells=np.arange(len(mesh.tets)))
+    return replace(
+        mesh,
+        cells=np.arange(len(mesh.tets)),
+    )
 
 
 def test_frictionless_faces_of_an_irregular_mesh() -> None:
@@ -87,7 +101,10 @@ def test_frictionless_faces_of_an_irregular_mesh() -> None:
         regular.cells,
     )
     for each in (mesh, uncelled(mesh)):
-        curve = QuasiStatic(each, "log", "frictionless").curve([0.3 * EDGE], *HEAVY)
+        curve = QuasiStatic(each, "log", "frictionless").curve(
+            [0.3 * EDGE],
+            *HEAVY,
+        )
         assert curve.force[0] == pytest.approx(EDGE**2 * uniaxial("log", 0.7, *HEAVY), rel=1e-8)
 
 
@@ -112,7 +129,10 @@ def test_bonded_faces_converge_to_second_order_elements(nu: float) -> None:
     exact = bonded_force(EDGE, 3, squeezes, *material)
     errors = []
     for half in (1, 2, 4, 6):
-        curve = QuasiStatic(octant(half), octant=True).curve(squeezes, *material)
+        curve = QuasiStatic(octant(half), octant=True).curve(
+            squeezes,
+            *material,
+        )
         errors.append(np.abs(curve.force / exact - 1.0).max())
     assert np.all(np.diff(errors) < 0.0)
     assert errors[2] < {0.13: 0.005, 0.258: 0.017, 0.40: 0.038}[nu]
@@ -132,7 +152,10 @@ def test_averaging_cures_the_locking() -> None:
 def test_an_octant_is_the_block() -> None:
     squeezes = np.array([0.1, 0.35]) * EDGE
     for contact in ("bonded", "frictionless"):
-        whole = QuasiStatic(cube(4), contact=contact).curve(squeezes, *HEAVY)
+        whole = QuasiStatic(cube(4), contact=contact).curve(
+            squeezes,
+            *HEAVY,
+        )
         eighth = QuasiStatic(octant(2), contact=contact, octant=True).curve(
             squeezes,
             *HEAVY,
@@ -215,7 +238,10 @@ def test_one_big_step_ends_where_small_ones_do() -> None:
     """The first guess holds elements that are inside out."""
     solver = QuasiStatic(cube(3))
     at_once = solver.curve([0.5 * EDGE], *HEAVY)
-    slowly = solver.curve(np.linspace(0.05, 0.5, 10) * EDGE, *HEAVY)
+    slowly = solver.curve(
+        np.linspace(0.05, 0.5, 10) * EDGE,
+        *HEAVY,
+    )
     assert at_once.force[0] == pytest.approx(slowly.force[-1], rel=1e-8)
 
 

@@ -52,7 +52,11 @@ def test_between_the_nodes_it_is_the_finite_elements(law: str) -> None:
             *lame_of_small_strain(law, *lame(5e3, nu)),
         )
         phi, slope, _ = table(squeeze, nu)
-        np.testing.assert_allclose(5e3 * area * phi, curve.force, rtol=2e-4)
+        np.testing.assert_allclose(
+            5e3 * area * phi,
+            curve.force,
+            rtol=2e-4,
+        )
         np.testing.assert_allclose(
             5e3 * area / SLAB[0] * slope,
             curve.by_squeeze,
@@ -74,12 +78,20 @@ def test_its_gradient_is_that_of_its_values(coarse: Response) -> None:
     np.testing.assert_allclose(
         (coarse(s, nu + step)[0] - coarse(s, nu - step)[0]) / (2 * step), by_nu, atol=2e-5
     )
-    np.testing.assert_allclose(coarse(0.0, nu)[0], 0.0, atol=1e-12)
+    np.testing.assert_allclose(
+        coarse(0.0, nu)[0],
+        0.0,
+        atol=1e-12,
+    )
     # the gradient has no jumps
     for edge in coarse.squeeze[1:]:
         below = coarse(edge - 1e-9, nu)
         above = coarse(edge + 1e-9, nu)
-        np.testing.assert_allclose(below[1], above[1], atol=1e-6)
+        np.testing.assert_allclose(
+            below[1],
+            above[1],
+            atol=1e-6,
+        )
 
 
 @wp.kernel(module="unique")
@@ -140,7 +152,11 @@ def test_frictionless_faces_need_one_table_for_all_shapes() -> None:
 
 def test_a_block_that_is_no_box(monkeypatch: pytest.MonkeyPatch) -> None:
     """A frustum: its table is its own finite elements, and another mesh has another."""
-    monkeypatch.setattr(module, "SQUEEZES", {"log": (0.0, 0.3, 7)})
+    monkeypatch.setattr(
+        module,
+        "SQUEEZES",
+        {"log": (0.0, 0.3, 7)},
+    )
     monkeypatch.setattr(module, "RATIOS", (0.1, 0.4, 4))
     cube = box(CUBE, (3, 3, 3))
     narrower = 1.0 - 0.4 * (cube.points[:, :1] / CUBE[0] + 0.5)

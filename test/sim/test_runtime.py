@@ -80,12 +80,16 @@ def test_a_cache_that_cannot_be_written_is_one_line(
 @pytest.mark.parametrize(
     "words", [["replay", "BAG", "--probe", "payload"], ["warmup"]], ids=lambda words: words[0]
 )
-def test_the_command_line_says_so_in_one_line(words: list[str], bags: Path, tmp_path: Path) -> None:
+def test_the_command_line_says_so_in_one_line(
+    words: list[str],
+    bags: Path,
+    tmp_path: Path,
+) -> None:
     (tmp_path / "file").touch()
     bag = str(bags / "quantised_s00_fixed_heavy_ball_50g_joint3" / "bag_mcap")
     done = subprocess.run(
         [sys.executable, "-m", "proprio_ros.cli", *(bag if word == "BAG" else word for word in words),],
-        env={**os.environ, "WARP_CACHE_PATH": str(tmp_path / "file" / "cache")},
+        env={**os.environ, "WARP_CACHE_PATH": str(tmp_path / "file" / "cache"),},
         capture_output=True, text=True,
     )  # fmt: skip
     assert done.returncode == 2 and not done.stdout
@@ -95,11 +99,25 @@ def test_the_command_line_says_so_in_one_line(words: list[str], bags: Path, tmp_
 @pytest.mark.long
 def test_a_replay_says_what_it_compiles(bags: Path, tmp_path: Path) -> None:
     bag = str(bags / "quantised_s00_fixed_heavy_ball_50g_joint3" / "bag_mcap")
-    words = [sys.executable, "-m", "proprio_ros.cli", "replay", bag, "--probe", "payload", "--json"]
+    words = [
+        sys.executable,
+        "-m",
+        "proprio_ros.cli",
+        "replay",
+        bag,
+        "--probe",
+        "payload",
+        "--json",
+    ]
 
     def said() -> list[str]:
         environment = {**os.environ, "WARP_CACHE_PATH": str(tmp_path)}
-        done = subprocess.run(words, env=environment, capture_output=True, text=True)
+        done = subprocess.run(
+            words,
+            env=environment,
+            capture_output=True,
+            text=True,
+        )
         assert done.returncode == 3, done.stderr  # too wide: the arm is not calibrated
         return done.stderr.splitlines()
 
@@ -116,7 +134,9 @@ def test_a_replay_says_what_it_compiles(bags: Path, tmp_path: Path) -> None:
 
 
 def kernels_loaded(
-    monkeypatch: pytest.MonkeyPatch, do: Callable[[], Any], really: bool = True
+    monkeypatch: pytest.MonkeyPatch,
+    do: Callable[[], Any],
+    really: bool = True,
 ) -> set[str]:
     """Names of the modules of kernels that something loads."""
     names: set[str] = set()
@@ -174,8 +194,18 @@ def test_a_probe_compiles_what_it_needs_and_no_more(monkeypatch: pytest.MonkeyPa
     ],
 )  # fmt: skip
 def test_nothing_is_left_to_compile_after_a_warmup(
-    probe: str, bag: str, baseline: str, bags: Path, monkeypatch: pytest.MonkeyPatch
+    probe: str,
+    bag: str,
+    baseline: str,
+    bags: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    options = Options(probe=probe, baseline=(bags / baseline / "bag_mcap",))
-    needed = kernels_loaded(monkeypatch, lambda: replay(bags / bag / "bag_mcap", options))
+    options = Options(
+        probe=probe,
+        baseline=(bags / baseline / "bag_mcap",),
+    )
+    needed = kernels_loaded(
+        monkeypatch,
+        lambda: replay(bags / bag / "bag_mcap", options),
+    )
     assert needed and needed <= compiled_for(monkeypatch, probe)

@@ -29,7 +29,11 @@ G = 9.81
 AXIS = np.array([0.2, 0.9, -0.4]) / np.linalg.norm([0.2, 0.9, -0.4])
 GRAVITY = np.array([3.0, -2.0, -9.1])  # at q = 0, which is where world and container frame agree
 ORIGIN = np.array([-0.15, 0.02, 0.03])
-BOX = Enclosure("box", np.array([0.06, 0.04, 0.045]), 0.01)
+BOX = Enclosure(
+    "box",
+    np.array([0.06, 0.04, 0.045]),
+    0.01,
+)
 HARD = Contact.of(400.0, 0.4, 0.35)
 HELD = 1e9  # kg m^2: nothing that a sphere does turns this joint
 
@@ -75,7 +79,11 @@ def simulator(
     )
 
 
-def resting_on(gravity: np.ndarray, inside: Enclosure, contact: Contact) -> np.ndarray:
+def resting_on(
+    gravity: np.ndarray,
+    inside: Enclosure,
+    contact: Contact,
+) -> np.ndarray:
     """Centre of a sphere that all three walls of a box towards which gravity points carry."""
     return np.sign(gravity) * inside.room + gravity / contact.stiffness
 
@@ -114,7 +122,11 @@ def test_a_sphere_that_touches_nothing_is_a_projectile(kind: str) -> None:
         spinning = np.zeros(3)
         to_world = Rotation.identity(len(q))
     flight = begin + times[:, None] * velocity + 0.5 * times[:, None] ** 2 * GRAVITY
-    np.testing.assert_allclose(world_place(kind, q, x), flight, atol=1e-9)
+    np.testing.assert_allclose(
+        world_place(kind, q, x),
+        flight,
+        atol=1e-9,
+    )
     np.testing.assert_allclose(
         to_world.apply(u),
         velocity + times[:, None] * GRAVITY,
@@ -138,7 +150,17 @@ def test_a_sphere_without_mass_leaves_the_joint_alone(integrator: str) -> None:
         viscous=0.01, load_friction=0.05, delay=0.004, q0=0.3, v0=0.2, stribeck=0.3, stribeck_velocity=0.2,
     )  # fmt: skip
     sim = SphereSimulator(
-        [SphereRun(joint, "revolute", AXIS, ORIGIN, GRAVITY)], BOX, integrator=integrator
+        [
+            SphereRun(
+                joint,
+                "revolute",
+                AXIS,
+                ORIGIN,
+                GRAVITY,
+            )
+        ],
+        BOX,
+        integrator=integrator,
     )
     q, v, x, *_ = states_of(sim, ONE, p)
     alone = JointSimulator([joint], integrator).rollout(
@@ -217,7 +239,10 @@ def test_the_weight_of_a_sphere_at_rest_is_on_the_joint(kind: str) -> None:
     if kind == "prismatic":
         inertia = arm + mass
 
-    def rigid(_: float, state: np.ndarray) -> list[float]:
+    def rigid(
+        _: float,
+        state: np.ndarray,
+    ) -> list[float]:
         if kind == "prismatic":
             return [state[1], (AXIS @ weight - held_back) / inertia]
         there = Rotation.from_rotvec(state[0] * AXIS).apply(lever)
@@ -244,7 +269,12 @@ def test_the_weight_of_a_sphere_at_rest_is_on_the_joint(kind: str) -> None:
 @pytest.mark.parametrize("law", LAWS)
 @pytest.mark.parametrize("kappa", [0.4, 2.0 / 3.0])
 @pytest.mark.parametrize(("tilt", "friction"), [(0.1, 0.35), (0.6, 0.1)], ids=["rolls", "slips"])
-def test_a_ball_on_an_inclined_plane(law: str, kappa: float, tilt: float, friction: float) -> None:
+def test_a_ball_on_an_inclined_plane(
+    law: str,
+    kappa: float,
+    tilt: float,
+    friction: float,
+) -> None:
     """g sin / (1 + kappa) while it rolls, g (sin - mu cos) where the plane is steeper than mu (1 + 1 / kappa)."""
     long = Enclosure(
         "box",
@@ -276,12 +306,20 @@ def test_a_ball_on_an_inclined_plane(law: str, kappa: float, tilt: float, fricti
 
 ROUND = {
     "box": BOX,
-    "cylinder": Enclosure("cylinder", np.array([0.05, 0.05, 0.06]), 0.01),
+    "cylinder": Enclosure(
+        "cylinder",
+        np.array([0.05, 0.05, 0.06]),
+        0.01,
+    ),
     "sphere": Enclosure("sphere", np.full(3, 0.05), 0.01),
 }
 
 
-def spring_energy(inside: Enclosure, x: np.ndarray, stiffness: float) -> np.ndarray:
+def spring_energy(
+    inside: Enclosure,
+    x: np.ndarray,
+    stiffness: float,
+) -> np.ndarray:
     """Per kilogram in all walls, for places x (T, 3)."""
     if inside.shape == "box":
         depths = np.abs(x) - inside.room
@@ -377,7 +415,12 @@ def test_energy_and_momentum_without_losses(kind: str, shape: str, law: str) -> 
 def test_energy_never_grows_and_friction_keeps_momentum(kind: str, shape: str, law: str) -> None:
     """With damping and friction: what spins up the sphere slows the joint, and no touch gives energy."""
     inside = ROUND[shape]
-    p = parameters(HARD, (0.006, 0.004, -0.005), sphere_mass=0.1, **FALLS)
+    p = parameters(
+        HARD,
+        (0.006, 0.004, -0.005),
+        sphere_mass=0.1,
+        **FALLS,
+    )
     if kind == "prismatic":
         p[0, SPHERE_INDEX["inertia"]] = 0.3
     times = np.arange(1, 2001) * 2e-4
@@ -428,7 +471,10 @@ def test_walls_of_a_corner_push_at_once() -> None:
     states = states_of(
         simulator(np.array([time]), step=time),
         ONE,
-        parameters(start=signs * (BOX.room + depths), inertia=HELD),
+        parameters(
+            start=signs * (BOX.room + depths),
+            inertia=HELD,
+        ),
     )
     np.testing.assert_allclose(
         states[3][0, 0] / time, GRAVITY - HARD.stiffness * signs * depths, rtol=1e-2
@@ -474,7 +520,12 @@ def test_integrator_orders(shape: str, law: str, integrator: str) -> None:
         shape
     ]
     p = parameters(soft, start, gravity_cos=0.2, v0=0.1)
-    inside = Enclosure(shape, ROUND[shape].inner_size, 0.01, ramp_depth=1e-9)
+    inside = Enclosure(
+        shape,
+        ROUND[shape].inner_size,
+        0.01,
+        ramp_depth=1e-9,
+    )
 
     def end(step: float, scheme: str) -> np.ndarray:
         sim = simulator(
@@ -520,7 +571,11 @@ def test_what_cannot_be_simulated_is_said() -> None:
     with pytest.raises(SimulationError, match="choose one of box, cylinder, sphere"):
         Enclosure("cone", np.full(3, 0.05), 0.01)
     with pytest.raises(SimulationError, match="does not fit into"):
-        Enclosure("box", np.array([0.06, 0.04, 0.02]), 0.01)
+        Enclosure(
+            "box",
+            np.array([0.06, 0.04, 0.02]),
+            0.01,
+        )
 
 
 def in_world_coordinates(
@@ -678,7 +733,11 @@ def of_mujoco(
         along = np.arange(3) == wall // 2
         way = 2.0 * (wall % 2) - 1.0
         size = np.where(along, thick / 2.0, half + thick)
-        pos = np.where(along, way * (half + thick / 2.0), 0.0)
+        pos = np.where(
+            along,
+            way * (half + thick / 2.0),
+            0.0,
+        )
         walls += f'<geom type="box" mass="0" contype="1" conaffinity="0" size="{text(*size)}" pos="{text(*pos)}"/>'
     inertia = 0.4 * value["sphere_mass"] * radius**2
     model = mujoco.MjModel.from_xml_string(f"""<mujoco>

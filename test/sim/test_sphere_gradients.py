@@ -103,7 +103,12 @@ def scene(
     }.items():
         p[0, SPHERE_INDEX[parameter]] = value
     p[0, [SPHERE_INDEX[f"start_{axis}"] for axis in "xyz"]] = np.array(starts[shape]) * inside.room
-    return SphereSimulator([sphere_run(kind, joint_run())], inside, law, integrator), p
+    return SphereSimulator(
+        [sphere_run(kind, joint_run())],
+        inside,
+        law,
+        integrator,
+    ), p
 
 
 def differences(
@@ -147,7 +152,10 @@ def test_sensitivities_against_central_differences(
     np.testing.assert_allclose(q, states[0], atol=1e-13)
     np.testing.assert_allclose(x, states[2], atol=1e-13)
     exact = np.concatenate(
-        [by_parameter[0][:, None, :], dx[0]],
+        [
+            by_parameter[0][:, None, :],
+            dx[0],
+        ],
         axis=1,
     )  # (T, 4, P)
     size = np.maximum(np.abs(p[0]), 1e-3)
@@ -174,7 +182,12 @@ def test_sensitivities_against_central_differences(
 
 
 @pytest.mark.parametrize(("name", "shape", "law", "integrator"), CASES)
-def test_tape_against_sensitivities(name: str, shape: str, law: str, integrator: str) -> None:
+def test_tape_against_sensitivities(
+    name: str,
+    shape: str,
+    law: str,
+    integrator: str,
+) -> None:
     sim, p = scene(name, shape, law, integrator)
     q, _, exact = sim.jacobian(ONE, p, EVERY)
     weights = np.random.default_rng(3).normal(size=q.shape)
@@ -212,7 +225,12 @@ def test_a_longer_delay_takes_a_sample_under_the_former_current(integrator: str)
         joint_run(),
         sample_times_s=np.array([0.05, 0.1017, 0.16, 0.2013, 0.25]),
     )
-    sim = SphereSimulator([sphere_run("revolute", run)], enclosure("box"), "ramped", integrator)
+    sim = SphereSimulator(
+        [sphere_run("revolute", run)],
+        enclosure("box"),
+        "ramped",
+        integrator,
+    )
     column = SPHERE_INDEX["delay"]
     p[0, column] = 0.0
     exact = sim.jacobian(ONE, p, EVERY)[2][0, :, column].copy()
@@ -260,7 +278,12 @@ def test_runs_with_and_without_a_sphere_share_a_call() -> None:
     long = joint_run(1)
     short = joint_run(2, 0.2)
     plain = replace(short, sample_times_s=short.sample_times_s[:7])
-    runs = [long, sphere_run("revolute", short), plain, sphere_run("prismatic", long)]
+    runs = [
+        long,
+        sphere_run("revolute", short),
+        plain,
+        sphere_run("prismatic", long),
+    ]
     with_sphere = [isinstance(run, SphereRun) for run in runs]
     special = SphereSimulator(
         [run for run in runs if isinstance(run, SphereRun)],
@@ -272,7 +295,11 @@ def test_runs_with_and_without_a_sphere_share_a_call() -> None:
         dtype=np.int32,
     )
     p = np.repeat(p, len(worlds), axis=0)
-    p *= np.random.default_rng(4).uniform(0.9, 1.1, p.shape)
+    p *= np.random.default_rng(4).uniform(
+        0.9,
+        1.1,
+        p.shape,
+    )
     directions = np.repeat(EVERY, len(worlds), axis=0)
     for counts in (None, mixed.windows(0.5)):
         used = mixed.sample_counts if counts is None else counts
@@ -286,7 +313,10 @@ def test_runs_with_and_without_a_sphere_share_a_call() -> None:
             else:
                 alone = JointSimulator([own])
                 width = len(PARAMETERS)
-                np.testing.assert_array_equal(dq[world, :n, width:], 0.0)
+                np.testing.assert_array_equal(
+                    dq[world, :n, width:],
+                    0.0,
+                )
             expected = alone.jacobian(
                 ONE,
                 p[world : world + 1, :width],

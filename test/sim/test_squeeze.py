@@ -82,7 +82,9 @@ BENDS = [(0.0, 0.0), (0.006, -0.003)]
 
 
 def simulator(
-    table: Response, integrator: str, bend: tuple[float, float] = BENDS[0]
+    table: Response,
+    integrator: str,
+    bend: tuple[float, float] = BENDS[0],
 ) -> SqueezeSimulator:
     times = np.sort(np.random.default_rng(7).uniform(0.0, 0.6, 24))
     joint = JointRun(
@@ -96,7 +98,16 @@ def simulator(
         input_load=np.array([[0.001, 0.02], [-0.002, 0.03], [0.0015, -0.01]]),
     )
     return SqueezeSimulator(
-        [SqueezeRun(joint, EDGE, EDGE**2, TRAVEL, table, bend)],
+        [
+            SqueezeRun(
+                joint,
+                EDGE,
+                EDGE**2,
+                TRAVEL,
+                table,
+                bend,
+            )
+        ],
         integrator,
     )
 
@@ -115,7 +126,10 @@ def point(seed: int) -> np.ndarray:
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("bend", BENDS)
 def test_sensitivities_against_central_differences(
-    bonded: Response, integrator: str, seed: int, bend: tuple[float, float]
+    bonded: Response,
+    integrator: str,
+    seed: int,
+    bend: tuple[float, float],
 ) -> None:
     """Where the fingers touch within a step, the rollout has a kink: differences see it, by 1e-4 of the largest."""
     sim = simulator(bonded, integrator, bend)
@@ -143,7 +157,10 @@ def test_sensitivities_against_central_differences(
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("bend", BENDS)
 def test_tape_against_sensitivities(
-    bonded: Response, integrator: str, seed: int, bend: tuple[float, float]
+    bonded: Response,
+    integrator: str,
+    seed: int,
+    bend: tuple[float, float],
 ) -> None:
     sim = simulator(bonded, integrator, bend)
     p = point(seed)
@@ -194,7 +211,10 @@ def test_against_another_integrator_and_the_closed_form(
     def closed(q: float) -> float:
         return TRAVEL * q + bend[0] * q**2 + bend[1] * q**3
 
-    def rate(_: float, y: np.ndarray) -> list[float]:
+    def rate(
+        _: float,
+        y: np.ndarray,
+    ) -> list[float]:
         q, v = y
         ratio_here = TRAVEL + 2.0 * bend[0] * q + 3.0 * bend[1] * q**2
         s = max(closed(q) - gap, 0.0) / EDGE
@@ -210,7 +230,14 @@ def test_against_another_integrator_and_the_closed_form(
         rate, (0.0, 1.0), [0.0, 0.0], "DOP853", times, rtol=1e-9, atol=1e-11, max_step=2e-3
     ).y[0]
     run = replace(
-        squeeze_run(sliding, times, torque, friction_velocity=0.01, step_s=1e-3, fine_step_s=2e-4),
+        squeeze_run(
+            sliding,
+            times,
+            torque,
+            friction_velocity=0.01,
+            step_s=1e-3,
+            fine_step_s=2e-4,
+        ),
         bend=bend,
     )
     p = parameters(
@@ -231,7 +258,11 @@ def test_against_another_integrator_and_the_closed_form(
     [(1694.6, 0.130, 0.010, 0.015), (12824.6, 0.258, 0.023, 0.1)],
 )
 def test_the_explicit_block_moves_the_gripper_the_same_way(
-    bonded: Response, modulus: float, ratio: float, mass: float, counts: float
+    bonded: Response,
+    modulus: float,
+    ratio: float,
+    mass: float,
+    counts: float,
 ) -> None:
     """The paper's two cubes under the torque that squeezes them by 30 % at rest; known from a prototype: 0.01 and 0.12 counts.
 
@@ -240,8 +271,19 @@ def test_the_explicit_block_moves_the_gripper_the_same_way(
     torque = TRAVEL * modulus * EDGE**2 * float(bonded(0.3, ratio)[0])
     times = np.arange(1, 61) / 60.0
     viscous = 0.01
-    run = squeeze_run(bonded, times, torque, step_s=1 / 3840, fine_step_s=1 / 3840)
-    p = parameters(viscous=viscous, poissons_ratio=ratio, youngs_modulus=modulus, gap=-1e-4)
+    run = squeeze_run(
+        bonded,
+        times,
+        torque,
+        step_s=1 / 3840,
+        fine_step_s=1 / 3840,
+    )
+    p = parameters(
+        viscous=viscous,
+        poissons_ratio=ratio,
+        youngs_modulus=modulus,
+        gap=-1e-4,
+    )
     q = SqueezeSimulator([run], "semi_implicit").rollout(ONE, p)[0][0]
     mu, lam = lame(modulus, ratio)
     values = {
@@ -254,7 +296,10 @@ def test_the_explicit_block_moves_the_gripper_the_same_way(
     }
     soft = np.array([[values.get(name, 0.0) for name in SOFT_PARAMETERS]])
     body = SoftBody(
-        box(np.full(3, EDGE), (4, 4, 4)),
+        box(
+            np.full(3, EDGE),
+            (4, 4, 4),
+        ),
         mass,
         TRAVEL,
     )
@@ -284,7 +329,11 @@ def test_before_it_touches_there_is_no_block(bonded: Response) -> None:
     times = np.linspace(0.01, 0.3, 10)
     run = squeeze_run(bonded, times, 0.02, step_s=1e-3, fine_step_s=1e-3)
     q = SqueezeSimulator([run]).rollout(ONE, parameters(gap=1.0))[0][0]
-    np.testing.assert_allclose(q, 0.5 * 0.02 / 0.005 * times**2, rtol=1e-10)
+    np.testing.assert_allclose(
+        q,
+        0.5 * 0.02 / 0.005 * times**2,
+        rtol=1e-10,
+    )
 
 
 def test_a_block_that_is_let_go_does_not_pull(bonded: Response) -> None:
@@ -323,7 +372,11 @@ def test_a_joint_that_closes_backwards_is_the_mirror_image(bonded: Response) -> 
     q = SqueezeSimulator([run, other]).rollout(
         np.array([0, 1], dtype=np.int32), np.repeat(p, 2, axis=0)
     )[0]
-    np.testing.assert_allclose(q[1], -q[0], rtol=1e-13)
+    np.testing.assert_allclose(
+        q[1],
+        -q[0],
+        rtol=1e-13,
+    )
 
 
 def test_runs_with_different_tables(bonded: Response, sliding: Response) -> None:
@@ -349,6 +402,11 @@ def test_what_cannot_be_simulated(bonded: Response) -> None:
         replace(run, travel=0.0)
     with pytest.raises(SimulationError, match="above 0"):
         replace(run, area=-1.0)
-    other = Response("other", 0.5 * bonded.squeeze, bonded.ratio, bonded.nodes)
+    other = Response(
+        "other",
+        0.5 * bonded.squeeze,
+        bonded.ratio,
+        bonded.nodes,
+    )
     with pytest.raises(SimulationError, match="one law"):
         SqueezeSimulator([run, replace(run, response=other)])

@@ -157,7 +157,11 @@ def sines(times_s: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return size * np.sin(angle), size * speed * np.cos(angle), -size * speed**2 * np.sin(angle)
 
 
-def inertia_matrix(model: Any, data: Any, out: np.ndarray) -> None:
+def inertia_matrix(
+    model: Any,
+    data: Any,
+    out: np.ndarray,
+) -> None:
     """MuJoCo changed the order of the arguments."""
     import mujoco
 
@@ -167,7 +171,11 @@ def inertia_matrix(model: Any, data: Any, out: np.ndarray) -> None:
         mujoco.mj_fullM(model, data, out)
 
 
-def write_robot(folder: Path, torque_std: float = 0.01, build: Build = SIX) -> Path:
+def write_robot(
+    folder: Path,
+    torque_std: float = 0.01,
+    build: Build = SIX,
+) -> Path:
     """URDF and robot file of the arm as its maker states it; returns the robot file."""
     (folder / "twin.urdf").write_text(urdf(*nominal(build), build=build))
     lines = ["name: twin", "urdf: twin.urdf", "payload_frame: hand", build.stated, "joints:"]
@@ -255,7 +263,11 @@ class Twin:
         self.rng = rng
         own = np.random.default_rng([self.seed, 1])  # all else is the same with and without teeth
         self.phase, self.number = (
-            own.uniform(0.0, 2.0 * np.pi, (3, count)),
+            own.uniform(
+                0.0,
+                2.0 * np.pi,
+                (3, count),
+            ),
             own.integers(4, 13, count),
         )
 
@@ -309,7 +321,11 @@ class Twin:
         rng = self.rng
         build = self.build
         count = len(self.build.axes)
-        phase = rng.uniform(0, 2 * np.pi, (count, 4))
+        phase = rng.uniform(
+            0,
+            2 * np.pi,
+            (count, 4),
+        )
         speed = rng.uniform(*build.speed, (count, 4))
         size = rng.uniform(*build.size, (count, 4))
         middle = np.array(build.middle)
@@ -358,7 +374,14 @@ class Twin:
             applied[:] = transmitted - lost
             sampled = step * STEP_S >= 1.0 and step % every == 0
             if sampled:
-                true.append([qpos.copy(), qvel.copy(), qvel, torque])
+                true.append(
+                    [
+                        qpos.copy(),
+                        qvel.copy(),
+                        qvel,
+                        torque,
+                    ]
+                )
                 times.append(step * STEP_S + 2e-4 * rng.standard_normal())
                 positions.append(qpos - own.zero + 1e-4 * rng.standard_normal(count))
                 said = own.scale * (torque + own.offset) / (constants * self.torque)

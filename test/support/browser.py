@@ -18,7 +18,11 @@ from typing import Any
 import pytest
 
 BROWSER = next(
-    filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None
+    filter(
+        None,
+        map(shutil.which, ("chromium", "chromium-browser", "google-chrome")),
+    ),
+    None,
 )
 QUIET = [
     "--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-background-networking",
@@ -143,5 +147,8 @@ def look(tmp_path_factory: pytest.TempPathFactory) -> Look:
 
 def brightness(color: str) -> float:
     """Of what a browser calls a colour, 0 to 1; see-through is paper."""
-    red, green, blue, *opacity = map(float, re.findall(r"[\d.]+", color))
+    red, green, blue, *opacity = map(
+        float,
+        re.findall(r"[\d.]+", color),
+    )
     return 1.0 if opacity == [0.0] else (0.3 * red + 0.59 * green + 0.11 * blue) / 255.0

@@ -81,7 +81,10 @@ def terms_kernel(parents: tuple[int, ...]) -> Any:
     """Mass matrix and inverse dynamics without armature, in the functions that the rollouts use."""
     n = len(parents)
     vec = wp.types.vector(length=n, dtype=FLOAT)
-    square = wp.types.matrix(shape=(n, n), dtype=FLOAT)
+    square = wp.types.matrix(
+        shape=(n, n),
+        dtype=FLOAT,
+    )
     tree = dynamics(parents)
     poses = tree.poses
     screws = tree.screws
@@ -183,7 +186,11 @@ def taped_kernels(
         return q_next, v_next
 
     @wp.func
-    def state(p: TABLE, w: wp.int32, start: wp.int32):
+    def state(
+        p: TABLE,
+        w: wp.int32,
+        start: wp.int32,
+    ):
         result = vec()
         for i in range(n):
             result[i] = p[w, start + i]
@@ -246,7 +253,15 @@ def taped_kernels(
                         step_out[w, steps] = h
                         step_by_delay_out[w, steps] = h_by_delay
                         segment_out[w, steps] = segment
-                    q_next, v_next = moved(fixed, p_in, w, q, v, h, command)
+                    q_next, v_next = moved(
+                        fixed,
+                        p_in,
+                        w,
+                        q,
+                        v,
+                        h,
+                        command,
+                    )
                     q = q_next
                     v = v_next
                     steps += 1
@@ -278,7 +293,11 @@ def taped_kernels(
     ):
         w = wp.tid()
         q_out[w, 0] = state(p_in, w, delay_column + 1)
-        v_out[w, 0] = state(p_in, w, delay_column + 1 + n)
+        v_out[w, 0] = state(
+            p_in,
+            w,
+            delay_column + 1 + n,
+        )
         for k in range(steps_in[w]):
             h = step_in[w, k] + step_by_delay_in[w, k] * (p_in[w, delay_column] - delay_at[w])
             command = input_current[segment_in[w, k]]
@@ -340,10 +359,17 @@ def rigid_body_terms(
     )[None]
     h = wp.zeros(
         len(states[0]),
-        dtype=wp.types.matrix(shape=(n, n), dtype=FLOAT),
+        dtype=wp.types.matrix(
+            shape=(n, n),
+            dtype=FLOAT,
+        ),
         device="cpu",
     )
-    torque = wp.zeros(len(states[0]), dtype=vec, device="cpu")
+    torque = wp.zeros(
+        len(states[0]),
+        dtype=vec,
+        device="cpu",
+    )
     wp.launch(
         terms_kernel(tuple(model.parents.tolist())),
         dim=len(states[0]),
@@ -362,7 +388,10 @@ def rigid_body_terms(
     return h.numpy().copy(), torque.numpy().copy()
 
 
-def mass_matrix(model: ReducedModel, q: ArrayLike) -> NDArray[np.float64]:
+def mass_matrix(
+    model: ReducedModel,
+    q: ArrayLike,
+) -> NDArray[np.float64]:
     """H(q) without armature [kg m^2, kg m or kg], shape (B, n, n), at positions of shape (B, n)."""
     return rigid_body_terms(model, q, np.zeros_like(q), np.zeros_like(q))[0]
 
@@ -430,7 +459,10 @@ def tape_gradient(
             )
     step, by_delay, segment, steps, sample_step = written
     p_array = doubles(p, FLOAT, requires_grad=True)
-    delay_at = doubles(p[:, sim.columns["delay"]].ravel(), FLOAT)
+    delay_at = doubles(
+        p[:, sim.columns["delay"]].ravel(),
+        FLOAT,
+    )
     q, v = (
         wp.zeros((len(p), capacity + 1), dtype=sim._vec, device="cpu", requires_grad=True)
         for _ in range(2)

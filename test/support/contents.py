@@ -40,7 +40,12 @@ class Contents(Protocol):
     kg: float
 
     def step(
-        self, gravity: Array, acceleration: Array, angular: Array, turning: Array, seconds: float
+        self,
+        gravity: Array,
+        acceleration: Array,
+        angular: Array,
+        turning: Array,
+        seconds: float,
     ) -> Array:
         """Force [N] and moment [N m] on the cylinder, shape (6,); acceleration of the origin, angular acceleration and velocity."""
         ...
@@ -57,12 +62,25 @@ def library() -> ctypes.CDLL:
         part = Path(folder) / "contents.o"
         built = Path(folder) / "contents.so"
         subprocess.run(
-            ["gcc", *FLAGS, str(SOURCE), "-o", str(part)],
+            [
+                "gcc",
+                *FLAGS,
+                str(SOURCE),
+                "-o",
+                str(part),
+            ],
             check=True,
         )
         # linked without -ffast-math, which has whoever loads it lose his subnormal numbers, in all that he computes
         subprocess.run(
-            ["gcc", "-shared", str(part), "-o", str(built), "-lm"],
+            [
+                "gcc",
+                "-shared",
+                str(part),
+                "-o",
+                str(built),
+                "-lm",
+            ],
             check=True,
         )
         found = ctypes.CDLL(str(built))
@@ -165,7 +183,12 @@ class Liquid(_Particles):
         library().liquid_free(self.handle)
 
     def step(
-        self, gravity: Array, acceleration: Array, angular: Array, turning: Array, seconds: float
+        self,
+        gravity: Array,
+        acceleration: Array,
+        angular: Array,
+        turning: Array,
+        seconds: float,
     ) -> Array:
         frame = np.concatenate([gravity, acceleration, angular, turning])
         out = np.zeros(6)
@@ -246,7 +269,12 @@ class Grains(_Particles):
         return 2.0 * float(self.x[:, 2].mean())
 
     def step(
-        self, gravity: Array, acceleration: Array, angular: Array, turning: Array, seconds: float
+        self,
+        gravity: Array,
+        acceleration: Array,
+        angular: Array,
+        turning: Array,
+        seconds: float,
     ) -> Array:
         frame = np.concatenate([gravity, acceleration, angular, turning])
         out = np.zeros(6)
@@ -271,7 +299,10 @@ def shake_period_s(hz: float) -> float:
 
 
 def ring(
-    contents: Contents, centre: Callable[[], float], seconds: float, step_s: float
+    contents: Contents,
+    centre: Callable[[], float],
+    seconds: float,
+    step_s: float,
 ) -> tuple[Array, Array]:
     """Times [s] and places of the centre of mass along x [m] while the cylinder stands still."""
     none = np.zeros(3)

@@ -12,7 +12,11 @@ from proprio_ros.addons.fleet.rows import Job
 _compute = local.compute
 
 
-def deadly(episodes: Sequence[Episode], job: Job, folder: str) -> int:
+def deadly(
+    episodes: Sequence[Episode],
+    job: Job,
+    folder: str,
+) -> int:
     """`local.compute`, but one episode ends its process as a fault in native code would; processes import it from here."""
     if any(episode.path.endswith(os.environ["PROPRIO_TEST_DEADLY"]) for episode in episodes):
         os._exit(11)

@@ -33,7 +33,10 @@ class Desk:
     """
 
     def __init__(
-        self, ids: Sequence[int], clock: SimulatedClock | None, link: Path | None = None
+        self,
+        ids: Sequence[int],
+        clock: SimulatedClock | None,
+        link: Path | None = None,
     ) -> None:
         self.servos = {servo_id: VirtualServo(XM430_W350, servo_id) for servo_id in ids}
         for servo in self.servos.values():

@@ -38,7 +38,11 @@ def differs(
     away = ELSEWHERE_RAD * rng.choice((-1.0, 1.0), count) if elsewhere else np.zeros(count)
     return Differs(
         scale=1.0 + SCALE_COMMON * rng.standard_normal() + SCALE_OWN * rng.standard_normal(count),
-        friction=np.clip(1.0 + FRICTION * rng.standard_normal(count), 0.3, 2.0),
+        friction=np.clip(
+            1.0 + FRICTION * rng.standard_normal(count),
+            0.3,
+            2.0,
+        ),
         offset=OFFSET_SHARE * arm.coulomb * rng.standard_normal(count),
         zero=ZERO_RAD * rng.standard_normal(count),
         elsewhere=away,
@@ -55,7 +59,12 @@ class DifferingArm:
         seconds: Of each recording.
     """
 
-    def __init__(self, seed: int, build: Build, seconds: float) -> None:
+    def __init__(
+        self,
+        seed: int,
+        build: Build,
+        seconds: float,
+    ) -> None:
         self.twin, self.seconds = Twin(seed, build), seconds
         self.rng = np.random.default_rng([seed, 29])
 
@@ -86,7 +95,12 @@ class DifferingArm:
                 0.0 * own.zero,
                 own.elsewhere,
             )
-        return self.twin.record(name, self.seconds, held, differs=own)
+        return self.twin.record(
+            name,
+            self.seconds,
+            held,
+            differs=own,
+        )
 
 
 def louder(motion: Motion, by: float) -> Motion:
@@ -140,7 +154,12 @@ class Pendulum:
         self.dry, self.viscous = rng.uniform(0.04, 0.2), rng.uniform(0.0, 0.03)
         self.lost = rng.uniform(0.0, 0.1)
 
-    def released(self, name: str, load_kg: float, horn: bool = False) -> Run:
+    def released(
+        self,
+        name: str,
+        load_kg: float,
+        horn: bool = False,
+    ) -> Run:
         """A swing, cut out as from a bag that says when torque went off."""
         import mujoco
 

@@ -111,7 +111,11 @@ class Arm:
         rng = np.random.default_rng([self.seed, seed])
         count = len(build.joints)
         every = round(1.0 / RATE_HZ / STEP_S)
-        phase = rng.uniform(0, 2 * np.pi, (count, 4))
+        phase = rng.uniform(
+            0,
+            2 * np.pi,
+            (count, 4),
+        )
         speed = rng.uniform(*build.speed, (count, 4))
         size = rng.uniform(*build.size, (count, 4))
         middle = np.array(build.middle)
@@ -146,11 +150,21 @@ class Arm:
         current = torque / (np.array(build.constants) * twin.torque)
         current = current + build.current_noise_A * rng.standard_normal(current.shape)
         times_s = np.arange(len(position)) / RATE_HZ
-        return Motion(f"{seed}", build.joints, times_s, position, current, {}, "measured current")
+        return Motion(
+            f"{seed}",
+            build.joints,
+            times_s,
+            position,
+            current,
+            {},
+            "measured current",
+        )
 
 
 def _stretches(
-    mass_kg: float, changes: Sequence[tuple[float, float]], seconds: float
+    mass_kg: float,
+    changes: Sequence[tuple[float, float]],
+    seconds: float,
 ) -> list[tuple[float, float, float]]:
     """Begin, mass in the hand and end of each stretch [s, kg, s]."""
     begins = [(0.0, mass_kg), *changes]

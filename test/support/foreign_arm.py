@@ -143,7 +143,11 @@ class ForeignArm:
         """A person puts something into the hand, or takes it out."""
         self._to_hold_kg = mass_kg
 
-    def command(self, now_s: float, values: list[float]) -> None:
+    def command(
+        self,
+        now_s: float,
+        values: list[float],
+    ) -> None:
         """As a forward controller: all joints in its order, in effect after a while, and until the next."""
         self.advance(now_s)
         if len(values) != len(ORDER) or not all(map(math.isfinite, values)):
@@ -178,7 +182,10 @@ class ForeignArm:
             if self._wanted is None:
                 continue  # its brakes are on
             step_kg = STEP_S / LOADING_S
-            self._held_kg += min(max(self._to_hold_kg - self._held_kg, -step_kg), step_kg)
+            self._held_kg += min(
+                max(self._to_hold_kg - self._held_kg, -step_kg),
+                step_kg,
+            )
             self.model.body_mass[self._hand] = self._empty_kg + self._held_kg
             limits = self._limits
             torque = self._wanted

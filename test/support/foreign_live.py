@@ -36,7 +36,12 @@ SUPPLY_V = 12.0  # any: torque goes with the share of it
 class ForeignProcess:
     """Its threads: one takes commands, one says joint states."""
 
-    def __init__(self, made: World, arm: ForeignArm, rate_hz: float) -> None:
+    def __init__(
+        self,
+        made: World,
+        arm: ForeignArm,
+        rate_hz: float,
+    ) -> None:
         self.arm, self._clock, self._rate_hz = arm, made.clock, rate_hz
         self.node = made.somebody("foreign")
         self._states = self.node.create_publisher(JointState, "/joint_states", 1)
@@ -50,7 +55,10 @@ class ForeignProcess:
         now_s = self._clock._now_s
         if (until_s := self.arm.stalled(now_s, "commands")) > now_s:
             self._clock.sleep(until_s - now_s)
-        self.arm.command(self._clock._now_s, list(message.data))
+        self.arm.command(
+            self._clock._now_s,
+            list(message.data),
+        )
 
     def _say(self) -> None:
         next_s = self._clock._now_s

@@ -42,7 +42,13 @@ class Hand:
         if coulomb is not None:
             joints = {name: replace(joint, coulomb=coulomb) for name, joint in truth.joints.items()}
             truth = replace(truth, joints=joints)
-        self.arm = VirtualArm(ROBOT, truth, position=PARKED, seed=seed, control_period_s=PERIOD_S)
+        self.arm = VirtualArm(
+            ROBOT,
+            truth,
+            position=PARKED,
+            seed=seed,
+            control_period_s=PERIOD_S,
+        )
         self.arm.hold(held)
         self.time_s = 10.0
         self.spheres: list[FloatArray] = []

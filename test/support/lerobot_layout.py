@@ -68,7 +68,10 @@ def write_data_set(
                 np.full(frames, values[index]),
                 pa.float32(),
             )
-        columns["timestamp"] = pa.array(motion.times_s, pa.float32())
+        columns["timestamp"] = pa.array(
+            motion.times_s,
+            pa.float32(),
+        )
         columns["frame_index"] = pa.array(np.arange(frames))
         columns["episode_index"] = pa.array(np.full(frames, index))
         columns["index"] = pa.array(np.arange(total, total + frames))
@@ -78,7 +81,13 @@ def write_data_set(
             path = folder / f"data/chunk-{index // PER_CHUNK:03d}/episode_{index:06d}.parquet"
             path.parent.mkdir(parents=True, exist_ok=True)
             pq.write_table(table, path)
-            rows.append({"episode_index": index, "tasks": ["weigh"], "length": frames})
+            rows.append(
+                {
+                    "episode_index": index,
+                    "tasks": ["weigh"],
+                    "length": frames,
+                }
+            )
         else:
             number = index // per_file
             if at != number:

@@ -123,7 +123,12 @@ class Listener:
     def torque(self, on: bool) -> Any:
         return self.answer(self.begin("/driver/torque", SetBool, SetBool.Request(data=on)))
 
-    def set(self, node: str, name: str, value: Any) -> Any:
+    def set(
+        self,
+        node: str,
+        name: str,
+        value: Any,
+    ) -> Any:
         """Set a parameter; returns the result with `successful` and `reason`."""
         request = SetParameters.Request(
             parameters=[Parameter(name, value=value).to_parameter_msg()]
@@ -160,7 +165,13 @@ def replayed_alike(result: Path) -> dict[str, Any]:
     words = shlex.split(live["command"])
     assert words[0] == "proprio"
     run = subprocess.run(
-        [sys.executable, "-m", "proprio_ros.cli", *words[1:], "--json"],
+        [
+            sys.executable,
+            "-m",
+            "proprio_ros.cli",
+            *words[1:],
+            "--json",
+        ],
         capture_output=True,
         text=True,
         check=False,

@@ -35,7 +35,11 @@ class Client(Listener):
 
     def __init__(self) -> None:
         self.context = rclpy.Context()
-        rclpy.init(args=[], context=self.context, signal_handler_options=SignalHandlerOptions.NO)
+        rclpy.init(
+            args=[],
+            context=self.context,
+            signal_handler_options=SignalHandlerOptions.NO,
+        )
         super().__init__(Node("test_client", context=self.context))
         self._executor = SingleThreadedExecutor(context=self.context)
         self._executor.add_node(self.node)
@@ -66,7 +70,10 @@ class Client(Listener):
         return wait_for(ready, seconds)
 
 
-def comes_up(graph: Graph, ready: Callable[[], object]) -> bool:
+def comes_up(
+    graph: Graph,
+    ready: Callable[[], object],
+) -> bool:
     """Whether it became true before the nodes fell silent: how long kernels are compiled is the computer's affair."""
     patience = Patience(UP_S)
     while not ready():
@@ -81,7 +88,16 @@ def warm_up(probe: str, *settings: str) -> None:
     """Compile first, as the docs advise: the identifier does it itself, while whoever waits for it waits longer."""
     values = [word for setting in settings for word in ("--set", setting)]
     subprocess.run(
-        [sys.executable, "-m", "proprio_ros.cli", "warmup", "--probe", probe, *values], check=True
+        [
+            sys.executable,
+            "-m",
+            "proprio_ros.cli",
+            "warmup",
+            "--probe",
+            probe,
+            *values,
+        ],
+        check=True,
     )
 
 
@@ -102,7 +118,10 @@ def running(
     }
     with Graph(folder / "logs", environment) as graph:
         for name in names:
-            graph.start(name, defaults[name] | parameters.get(name, {}))
+            graph.start(
+                name,
+                defaults[name] | parameters.get(name, {}),
+            )
         client = Client()
         try:
             signs = {

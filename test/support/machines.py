@@ -24,7 +24,12 @@ _PENDULUM = """<robot name="{name}"><link name="base"/>
 """
 
 
-def pendulum_urdf(folder: Path, name: str, rod_kg: float, length_m: float) -> Path:
+def pendulum_urdf(
+    folder: Path,
+    name: str,
+    rod_kg: float,
+    length_m: float,
+) -> Path:
     """A rod that hangs from ``pendulum`` and ends in ``tip``."""
     inertia = rod_kg * length_m**2 / 12.0
     urdf = _PENDULUM.format(

@@ -16,7 +16,11 @@ class MemoryPort:
         clock: Time of the world [s].
     """
 
-    def __init__(self, bus: VirtualBus, clock: Callable[[], float]) -> None:
+    def __init__(
+        self,
+        bus: VirtualBus,
+        clock: Callable[[], float],
+    ) -> None:
         self._bus = bus
         self._clock = clock
         self._outbox = Outbox()
@@ -25,7 +29,10 @@ class MemoryPort:
     def write(self, data: bytes) -> int:
         """Send bytes to the servos; all of them are taken."""
         now_s = self._clock()
-        self._outbox.put(self._bus.receive(bytes(data), now_s), now_s)
+        self._outbox.put(
+            self._bus.receive(bytes(data), now_s),
+            now_s,
+        )
         return len(data)
 
     @property

@@ -37,7 +37,10 @@ ROS = Path(sys.prefix)
 BUILD_S = 600.0
 
 
-def build(package: Path, prefix: Path) -> dict[str, str]:
+def build(
+    package: Path,
+    prefix: Path,
+) -> dict[str, str]:
     """Build a message package so that ``import <its name>.msg`` works; a test without a compiler skips, and fails in the gate.
 
     Args:
@@ -132,9 +135,19 @@ def _build(package: Path, prefix: Path) -> None:
     idl = []
     for kind, convert in converters.items():
         for path in sorted((package / kind).glob(f"*.{kind}")):
-            convert(package, name, path.relative_to(package), prefix / "idl" / kind)
+            convert(
+                package,
+                name,
+                path.relative_to(package),
+                prefix / "idl" / kind,
+            )
             idl.append(f"{prefix / 'idl'}:{kind}/{path.stem}.idl")
-    hashes = HashTypeDescription("hash").generate_type_hashes(name, idl, shares, prefix / "idl")
+    hashes = HashTypeDescription("hash").generate_type_hashes(
+        name,
+        idl,
+        shares,
+        prefix / "idl",
+    )
     # what each writes includes what those before it wrote, as <package>/msg/...
     folders = {part: prefix / "generated" / part / name for part in PARTS}
     GenerateC("c").generate(
@@ -144,7 +157,12 @@ def _build(package: Path, prefix: Path) -> None:
         folders[PARTS[0]],
         type_description_files=hashes,
     )
-    GenerateFastRTPSCTypesupport("fastrtps_c").generate(name, idl, shares, folders[PARTS[1]])
+    GenerateFastRTPSCTypesupport("fastrtps_c").generate(
+        name,
+        idl,
+        shares,
+        folders[PARTS[1]],
+    )
     GenerateIntrospectionCTypesupport("introspection_c").generate(
         name, idl, shares, folders[PARTS[2]]
     )
@@ -203,4 +221,7 @@ def _call(command: list[str]) -> None:
 
 
 if __name__ == "__main__":
-    _build(Path(sys.argv[1]), Path(sys.argv[2]))
+    _build(
+        Path(sys.argv[1]),
+        Path(sys.argv[2]),
+    )

@@ -76,7 +76,11 @@ def record_arm(
         friction_N_m * robot.uniform(0.5, 1.5, count) * random.normal(1.0, 0.03, count)
     )
     phases, speeds = (
-        random.uniform(0.0, 2.0 * np.pi, (count, 3)),
+        random.uniform(
+            0.0,
+            2.0 * np.pi,
+            (count, 3),
+        ),
         random.uniform(0.4, 2.2, (count, 3)),
     )
     sizes, about = (
@@ -116,7 +120,10 @@ def record_arm(
         if step % every == 0:
             time_ns = 10**9 + step * round(1e9 * STEP_S)
             stamp = header(
-                stamp=time(sec=time_ns // 10**9, nanosec=time_ns % 10**9),
+                stamp=time(
+                    sec=time_ns // 10**9,
+                    nanosec=time_ns % 10**9,
+                ),
                 frame_id="",
             )
             seen = position + random.normal(0.0, 1e-4, count)

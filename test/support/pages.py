@@ -71,7 +71,10 @@ def read(path: Path) -> tuple[Reader, str]:
     return reader, " ".join(" ".join(reader.words).split())
 
 
-def curves(page: str, name: str) -> list[np.ndarray]:
+def curves(
+    page: str,
+    name: str,
+) -> list[np.ndarray]:
     """Every curve called so, in its own numbers, shape (K, 2): read back from its path and the ends of its axes."""
     found = []
     for chart in re.findall(r'<svg class="chart".*?</svg></svg>', page):
@@ -84,7 +87,10 @@ def curves(page: str, name: str) -> list[np.ndarray]:
             for path in re.findall(
                 rf'<path class="[^"]*" data-name="{name}"[^>]* d="([^"]*)"', plot
             ):
-                at = np.array(re.findall(r"[ML](-?[\d.]+),(-?[\d.]+)", path), dtype=float)
+                at = np.array(
+                    re.findall(r"[ML](-?[\d.]+),(-?[\d.]+)", path),
+                    dtype=float,
+                )
                 y = y1 + at[:, 1] / height * (y0 - y1)
                 found.append(
                     np.stack(

@@ -19,7 +19,13 @@ def synthetic() -> dict[str, list[Rows]]:
                         "low": low, "high": high, "seconds": 0.1, "verdict": "" if low is None else "accepted", "why": "",
                     }
                 )  # fmt: skip
-        found["objects"].append({"rows": rows, "trace": {}, "seed": seed})
+        found["objects"].append(
+            {
+                "rows": rows,
+                "trace": {},
+                "seed": seed,
+            }
+        )
         ends = [
             {"way": "ours", "calibrated": False, "start": start, "value": 0.05 + off, "truth": 0.05}
             for start in cases.STARTS_KG

@@ -62,7 +62,14 @@ def plain_squeeze_rate(
     data: SqueezeData,
     r: wp.int32,
 ):
-    load, _by_q, _by_v, _by_p = excitation_of_block(q, v, p, w, data, r)
+    load, _by_q, _by_v, _by_p = excitation_of_block(
+        q,
+        v,
+        p,
+        w,
+        data,
+        r,
+    )
     return acceleration(
         q,
         v,
@@ -168,7 +175,11 @@ def plain_sphere_law(shape: str, law: str, integrator: str) -> PlainLaw:
             geometry, run, GRAVITY_BY_COS
         )
         push = push + wp.sin(angle) * triple(geometry, run, GRAVITY_BY_SIN)
-        spin = VEC3(FLOAT(0.0), FLOAT(0.0), FLOAT(0.0))
+        spin = VEC3(
+            FLOAT(0.0),
+            FLOAT(0.0),
+            FLOAT(0.0),
+        )
         reaction = FLOAT(0.0)
         for face in range(faces):
             depth, n = wall(face, x, half, radius)
@@ -252,7 +263,14 @@ def plain_sphere_law(shape: str, law: str, integrator: str) -> PlainLaw:
                 data,
                 run,
             )
-            k4 = rates(y + h * k3, given, p, world, data, run)
+            k4 = rates(
+                y + h * k3,
+                given,
+                p,
+                world,
+                data,
+                run,
+            )
             return y + (h / FLOAT(6.0)) * (k1 + two * k2 + two * k3 + k4)
         else:
             return y + h * moved(y, y + h * k1, k1, data, run)
@@ -305,7 +323,11 @@ def parts(states: wp.array) -> tuple[np.ndarray, ...]:
     return y[..., 0], y[..., 1], y[..., 2:5], y[..., 5:8], y[..., 8:]
 
 
-def taped_sphere(simulator: SphereSimulator, world_run: np.ndarray, p: np.ndarray) -> TapedRollout:
+def taped_sphere(
+    simulator: SphereSimulator,
+    world_run: np.ndarray,
+    p: np.ndarray,
+) -> TapedRollout:
     return tape(simulator, world_run, p, _law_of(simulator))
 
 

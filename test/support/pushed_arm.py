@@ -60,11 +60,19 @@ class Hand:
                 [paper_hand._counted(command.current_A.get(joint, 0.0)) for joint in joints]
             )
             for tick in range(25):  # what is commanded comes into effect 4 ms later
-                paper_hand._drive(self.arm, before if tick < 4 else command, joints, scale)
+                paper_hand._drive(
+                    self.arm,
+                    before if tick < 4 else command,
+                    joints,
+                    scale,
+                )
             self.time_s += 0.025
             now = self.sample()
         assert machine.phase is Phase.DONE, machine.message
         times = np.array(stamps)
         inputs = InputRecord(times, joints, np.array(currents), "/applied_effort")
         record = JointRecord(times, joints, np.array(places))
-        self.runs += cut_runs(Recording("sure", record, inputs), joints=list(joints))
+        self.runs += cut_runs(
+            Recording("sure", record, inputs),
+            joints=list(joints),
+        )

@@ -101,7 +101,10 @@ def _add(found: Density, path: Path, name: str) -> None:
                 _judge(found, node, name, of_line)
 
 
-def _tokens_by_line(source: str, tree: ast.AST) -> dict[int, int]:
+def _tokens_by_line(
+    source: str,
+    tree: ast.AST,
+) -> dict[int, int]:
     """How many tokens of code begin in each line that has any."""
     words = set(_lines_of_strings(tree))
     counts: dict[int, int] = {}
@@ -135,7 +138,12 @@ def _ask_arguments(found: Density, function: Function, name: str) -> None:
         found.silent.append(f"{name}:{function.name}")
 
 
-def _judge(found: Density, function: Function, name: str, of_line: dict[int, int]) -> None:
+def _judge(
+    found: Density,
+    function: Function,
+    name: str,
+    of_line: dict[int, int],
+) -> None:
     last = function.end_lineno or function.lineno
     tokens = sum(of_line.get(line, 0) for line in range(function.lineno, last + 1))
     own = len(_stored_names(function) - _argument_names(function))

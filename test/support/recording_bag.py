@@ -76,7 +76,10 @@ def _joint_state(types: Any, record: JointRecord, row: int) -> Any:
     seconds, nanoseconds = divmod(int(record.times_ns[row]), 1_000_000_000)
     empty = np.zeros(0)
     return state(
-        header=header(stamp=time(sec=seconds, nanosec=nanoseconds), frame_id=""),
+        header=header(
+            stamp=time(sec=seconds, nanosec=nanoseconds),
+            frame_id="",
+        ),
         name=list(record.names),
         position=record.position[row],
         velocity=empty if record.velocity is None else record.velocity[row],
@@ -84,7 +87,11 @@ def _joint_state(types: Any, record: JointRecord, row: int) -> Any:
     )
 
 
-def _float_array(types: Any, names: Sequence[str], values: FloatArray) -> Any:
+def _float_array(
+    types: Any,
+    names: Sequence[str],
+    values: FloatArray,
+) -> Any:
     dimension, layout, array = (
         types.types[f"std_msgs/msg/{name}"]
         for name in ("MultiArrayDimension", "MultiArrayLayout", "Float64MultiArray")

@@ -116,7 +116,17 @@ def draw(seed: int) -> list[Case]:
             swing = rng.uniform(0.14, 0.22)
             times = 0.1 * np.arange(6)
             current = holding + swing * np.where(np.arange(6) % 2 == 0, 1.0, -1.0)
-        cases.append(Case(f"{name}{row}", mass, friction, hardness, start, times, current))
+        cases.append(
+            Case(
+                f"{name}{row}",
+                mass,
+                friction,
+                hardness,
+                start,
+                times,
+                current,
+            )
+        )
     return cases
 
 
@@ -233,5 +243,9 @@ def known_robot(folder: Path) -> Robot:
     return load_robot(folder / "arm.yaml")
 
 
-FACTS = ContainerFacts(Enclosure("box", INNER, RADIUS), mass=SHELL_KG, mass_std=0.0)
+FACTS = ContainerFacts(
+    Enclosure("box", INNER, RADIUS),
+    mass=SHELL_KG,
+    mass_std=0.0,
+)
 """What is stated about the box."""

@@ -14,7 +14,11 @@ FRICTION_NM_S = 0.02
 class Rotors:
     """Rotors in steps of the servos' control period; the first step ends at `time_s` + one period."""
 
-    def __init__(self, servos: Sequence[VirtualServo], time_s: float = 0.0) -> None:
+    def __init__(
+        self,
+        servos: Sequence[VirtualServo],
+        time_s: float = 0.0,
+    ) -> None:
         self.servos = servos
         self.start_s = time_s
         self.steps = 0

@@ -55,7 +55,10 @@ def tables(counted: list[dict[str, Any]]) -> dict[str, Any]:
     kinds.append({"kind": "schedules after which something was not true", "faults": failed})
     return {
         "plans": {"columns": columns, "rows": plans},
-        "kinds": {"columns": {"what goes wrong": "{kind}", "how often": "{faults}"}, "rows": kinds},
+        "kinds": {
+            "columns": {"what goes wrong": "{kind}", "how often": "{faults}"},
+            "rows": kinds,
+        },
     }
 
 
@@ -96,4 +99,7 @@ def main(file: Path, rows: list[str]) -> None:
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]), sys.argv[2:])
+    main(
+        Path(sys.argv[1]),
+        sys.argv[2:],
+    )

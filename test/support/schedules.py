@@ -224,7 +224,12 @@ class Side:
     def robot(self) -> Any:
         return self.process("virtual").node._robot
 
-    def set(self, node: str, name: str, value: Any) -> bool:
+    def set(
+        self,
+        node: str,
+        name: str,
+        value: Any,
+    ) -> bool:
         request = SetParameters.Request(
             parameters=[Parameter(name, value=value).to_parameter_msg()]
         )
@@ -319,10 +324,20 @@ class Side:
             if not process.alive:
                 process.start()
         self.recover(held=False)
-        self.call("/driver/torque", SetBool, SetBool.Request(data=False), 10.0)
+        self.call(
+            "/driver/torque",
+            SetBool,
+            SetBool.Request(data=False),
+            10.0,
+        )
         self.robot.park()
         # what was sent before may come after this
-        self.call("/driver/torque", SetBool, SetBool.Request(data=True), 10.0)
+        self.call(
+            "/driver/torque",
+            SetBool,
+            SetBool.Request(data=True),
+            10.0,
+        )
         made.clock.sleep(0.3)
         self.recover()
 
@@ -427,7 +442,12 @@ class Schedule:
         digest: Whether to look into what was recorded.
     """
 
-    def __init__(self, made: World, seed: int, digest: bool = False) -> None:
+    def __init__(
+        self,
+        made: World,
+        seed: int,
+        digest: bool = False,
+    ) -> None:
         self.world, self.digest, self.drawn = made, digest, drawn(seed)
         self.outcome = Outcome(
             seed,
@@ -452,7 +472,11 @@ class Schedule:
         made.graph.network = self.drawn.network
         asked = [(clock.event(), list[str]()) for _ in self.sides]
 
-        def begin(side: Side, answered: Any, said: list[str]) -> None:
+        def begin(
+            side: Side,
+            answered: Any,
+            said: list[str],
+        ) -> None:
             said.append(self.ask(side, "under faults"))
             answered.set()
 
@@ -547,7 +571,10 @@ def digest_of(folder: Path) -> str:
         with open_bag(path) as bag:
             for topic in bag.topics.all:
                 for time_ns, data in bag._read(topic):
-                    whole = types.serialize_cdr(deserialised(data, topic.msgtype), topic.msgtype)
+                    whole = types.serialize_cdr(
+                        deserialised(data, topic.msgtype),
+                        topic.msgtype,
+                    )
                     found.update(f"{topic.name} {time_ns}".encode() + bytes(whole))
     return found.hexdigest()
 
@@ -587,7 +614,13 @@ def standing(plan: str, folder: Path) -> Iterator[World]:
                         "driver": {"port": f"{LINK}{space}"},
                     }.get(name, {})
                     made.start(
-                        name, {**nodes[name], **link}, space, f"{space}/{name}" if space else name
+                        name,
+                        {
+                            **nodes[name],
+                            **link,
+                        },
+                        space,
+                        f"{space}/{name}" if space else name,
                     )
             made.clock.sleep(1.0)
             broken: list[str] = []
@@ -610,7 +643,10 @@ def standing(plan: str, folder: Path) -> Iterator[World]:
 
 
 def played(
-    seeds: Sequence[int], folder: Path, digest: bool = False, together: int = 2
+    seeds: Sequence[int],
+    folder: Path,
+    digest: bool = False,
+    together: int = 2,
 ) -> Iterator[Outcome]:
     """Play schedules: those of a plan together, each from a world of that plan that stands."""
 
@@ -650,10 +686,16 @@ def calibrate(folder: Path) -> None:
     ) as made:
         answer = made.call("/identifier/calibrate_robot")
         assert answer.success, answer.message
-        shutil.copyfile(re.search(r"calibration: (\S+?\.yaml)", answer.message)[1], CALIBRATION)  # type: ignore[index]
+        shutil.copyfile(
+            re.search(r"calibration: (\S+?\.yaml)", answer.message)[1],
+            CALIBRATION,
+        )  # type: ignore[index]
 
 
-def counted(outcomes: Iterable[Outcome], tell: bool) -> dict[str, Any]:
+def counted(
+    outcomes: Iterable[Outcome],
+    tell: bool,
+) -> dict[str, Any]:
     """Print what is broken as it comes; how often there was what."""
     kinds = Counter[str]()
     plans = Counter[str]()

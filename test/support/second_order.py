@@ -20,7 +20,11 @@ def _shape(at: float) -> tuple[np.ndarray, np.ndarray]:
 
 
 def bonded_force(
-    edge: float, elements: int, squeezes: np.ndarray, mu: float, lam: float
+    edge: float,
+    elements: int,
+    squeezes: np.ndarray,
+    mu: float,
+    lam: float,
 ) -> np.ndarray:
     """Force on a finger [N] of a cube with bonded faces, at squeezes [m] in rising order.
 
@@ -32,7 +36,11 @@ def bonded_force(
     h = edge / 2.0 / elements
     grid = np.linspace(0.0, edge / 2.0, n)
     points = np.stack(np.meshgrid(grid, grid, grid, indexing="ij"), axis=-1).reshape(-1, 3)
-    number = np.arange(n**3).reshape(n, n, n)
+    number = np.arange(n**3).reshape(
+        n,
+        n,
+        n,
+    )
     corners = np.array(
         [
             number[2 * i : 2 * i + 3, 2 * j : 2 * j + 3, 2 * k : 2 * k + 3].ravel()

@@ -29,7 +29,10 @@ def write(
     for row, t in enumerate(rows["t"]):
         time_ns = 10**9 + round(1e9 * t)
         stamp = header(
-            stamp=time(sec=time_ns // 10**9, nanosec=time_ns % 10**9),
+            stamp=time(
+                sec=time_ns // 10**9,
+                nanosec=time_ns % 10**9,
+            ),
             frame_id="",
         )
         given = nothing if effort is None else effort[row : row + 1]
@@ -72,7 +75,12 @@ def write(
         for topic, message in said:
             kind = BATTERY if topic == "/battery_state" else JOINT_STATE
             messages.append(
-                RawMessage(topic, kind, time_ns, bytes(types.serialize_cdr(message, kind)))
+                RawMessage(
+                    topic,
+                    kind,
+                    time_ns,
+                    bytes(types.serialize_cdr(message, kind)),
+                )
             )
     write_messages(folder, messages)
     return folder

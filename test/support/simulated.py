@@ -43,7 +43,10 @@ def bag_in(folder: Path) -> Path:
     return next(iter(sorted(folder.glob("bag_*"))))
 
 
-def runs_of(folder: Path, robot: Robot) -> tuple[Run, ...]:
+def runs_of(
+    folder: Path,
+    robot: Robot,
+) -> tuple[Run, ...]:
     return bag_runs(bag_in(folder), Request(robot))
 
 
@@ -87,7 +90,10 @@ def stated(truth: Mapping[str, Any]) -> dict[str, Any]:
 
 def facts_of(folder: Path) -> PayloadFacts:
     """The same as facts."""
-    return payload_facts(Settings(stated(truth_of(folder))), probe_file("payload")["payload"])
+    return payload_facts(
+        Settings(stated(truth_of(folder))),
+        probe_file("payload")["payload"],
+    )
 
 
 def known_drive_train(truth: Mapping[str, Any]) -> dict[str, Any]:
@@ -118,8 +124,14 @@ def known_drive_train(truth: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def weighed(folder: Path, extra: Mapping[str, Any] | None = None, **options: Any) -> Estimate:
-    settings = {**stated(truth_of(folder)), **(extra or {})}
-    return replay([bag_in(folder)], Options(settings=settings, **options))
+    settings = {
+        **stated(truth_of(folder)),
+        **(extra or {}),
+    }
+    return replay(
+        [bag_in(folder)],
+        Options(settings=settings, **options),
+    )
 
 
 # --- spheres and blocks -------------------------------------------------------------------------------------------------
@@ -178,7 +190,10 @@ class Boxes:
 def cube_of(folder: Path) -> tuple[float, float, float]:
     """Edge [m], Young's modulus [Pa], Poisson's ratio."""
     cube = truth_of(folder)["cube"]
-    return cube["side"], *young(cube["k_mu"], cube["k_lambda"])
+    return cube["side"], *young(
+        cube["k_mu"],
+        cube["k_lambda"],
+    )
 
 
 def squeezed(robot: Robot, folder: Path, **facts: Any) -> Estimate:

@@ -27,7 +27,12 @@ class Client(Listener):
         seconds: float = SOON_S,
     ) -> bool:
         """Whether it became true within that simulated time."""
-        return comes_true(ready, seconds, self.clock.now, self.clock.sleep)
+        return comes_true(
+            ready,
+            seconds,
+            self.clock.now,
+            self.clock.sleep,
+        )
 
     def log(self, node: str) -> str:
         """What a node has logged, a line each."""
@@ -50,7 +55,10 @@ def running(
     """The nodes (default all four), up and talking; parameters by node."""
     names = nodes or ("virtual", "driver", "excitation", "identifier")
     given = {
-        "virtual": {"seed": 1, **parameters.get("virtual", {})},
+        "virtual": {
+            "seed": 1,
+            **parameters.get("virtual", {}),
+        },
         "driver": parameters.get("driver", {}),
         "excitation": parameters.get("excitation", {}),
         "identifier": {

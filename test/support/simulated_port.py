@@ -93,7 +93,13 @@ class Wire(MemoryPort):
 def simulated(seed: int = 0) -> Iterator[SimulatedClock]:
     """All that takes its time from `proprio_ros.clock` is in simulated time, and virtual robots are on simulated ports."""
     made = SimulatedClock(seed)
-    before, virtual_robot.PtyPort = (time_source.use(made), virtual_robot.PtyPort), SimulatedPort  # type: ignore[assignment,misc]
+    before, virtual_robot.PtyPort = (
+        (
+            time_source.use(made),
+            virtual_robot.PtyPort,
+        ),
+        SimulatedPort,
+    )  # type: ignore[assignment,misc]
     try:
         yield made
         made.end()

@@ -200,7 +200,12 @@ class Subscription:
     def __exit__(self, *_: Any) -> None:
         pass
 
-    def deliver(self, publisher: Publisher, data: bytes, number: int) -> None:
+    def deliver(
+        self,
+        publisher: Publisher,
+        data: bytes,
+        number: int,
+    ) -> None:
         for at_s in self._node.graph.arrival(self._last_s.get(id(publisher), -math.inf)):
             self._last_s[id(publisher)] = max(
                 at_s,
@@ -304,7 +309,10 @@ class Future:
     def cancel(self) -> None:
         self._callbacks.clear()
 
-    def add_done_callback(self, callback: Callable[[Any], None]) -> None:
+    def add_done_callback(
+        self,
+        callback: Callable[[Any], None],
+    ) -> None:
         self._callbacks.append(callback)
 
     def set_result(self, result: Any) -> None:
@@ -314,7 +322,12 @@ class Future:
 
 
 class Client:
-    def __init__(self, node: SimulatedNode, kind: Any, name: str) -> None:
+    def __init__(
+        self,
+        node: SimulatedNode,
+        kind: Any,
+        name: str,
+    ) -> None:
         self._node, self.srv_type, self.srv_name = node, kind, name
         self._pending: list[Future] = []
 
@@ -356,7 +369,12 @@ class Client:
 
 
 class Timer:
-    def __init__(self, node: SimulatedNode, period_s: float, callback: Any) -> None:
+    def __init__(
+        self,
+        node: SimulatedNode,
+        period_s: float,
+        callback: Any,
+    ) -> None:
         self._node, self.period_s, self.callback = node, period_s, callback
         self.next_s = node.graph.clock._now_s + period_s
         self.cancelled = False
@@ -404,7 +422,11 @@ class _Time:
 class _NodeClock:
     """The system's time; or, where a node wants it, what was heard last on /clock."""
 
-    def __init__(self, graph: Graph, heard: list[Any] | None) -> None:
+    def __init__(
+        self,
+        graph: Graph,
+        heard: list[Any] | None,
+    ) -> None:
         self._graph, self._heard = graph, heard
 
     @property
@@ -497,7 +519,12 @@ class SimulatedNode:
 
     # --- parameters
 
-    def declare_parameter(self, name: str, default: Any, descriptor: Any = None) -> Any:
+    def declare_parameter(
+        self,
+        name: str,
+        default: Any,
+        descriptor: Any = None,
+    ) -> Any:
         value = self._ros_overrides.get(name, default)
         if isinstance(default, float) and isinstance(value, int):
             value = float(value)
@@ -505,7 +532,10 @@ class SimulatedNode:
         return self.get_parameter(name)
 
     def get_parameter(self, name: str) -> Any:
-        return SimpleNamespace(name=name, value=self._ros_parameters[name][0])
+        return SimpleNamespace(
+            name=name,
+            value=self._ros_parameters[name][0],
+        )
 
     def add_on_set_parameters_callback(self, callback: Any) -> None:
         self._ros_on_set.append(callback)
@@ -635,7 +665,11 @@ class SimulatedNode:
             for each in self.graph.all("subscriptions")
         )
 
-    def _infos(self, kind: str, topic: str) -> list[Any]:
+    def _infos(
+        self,
+        kind: str,
+        topic: str,
+    ) -> list[Any]:
         return [
             SimpleNamespace(node_name=node._ros_name, node_namespace=node._ros_namespace)
             for node in self.graph.nodes
@@ -745,7 +779,10 @@ class SimulatedNode:
             if now_s >= end_s:
                 return
             self._ros_wake.clear()
-            self._ros_due_s = min(dues[0] if dues else math.inf, end_s)
+            self._ros_due_s = min(
+                dues[0] if dues else math.inf,
+                end_s,
+            )
             self._ros_wake.wait(max(self._ros_due_s - now_s, 0.0))
 
 

@@ -46,7 +46,11 @@ class SimulatedClock:
         start_s: Time at the beginning.
     """
 
-    def __init__(self, seed: int = 0, start_s: float = 1000.0) -> None:
+    def __init__(
+        self,
+        seed: int = 0,
+        start_s: float = 1000.0,
+    ) -> None:
         self._random = random.Random(seed)
         self._now_s = start_s
         self._count = 0

@@ -97,7 +97,10 @@ class Process:
     def alive(self) -> bool:
         return self._thread.is_alive()
 
-    def ask(self, do: Callable[[Any], None]) -> None:
+    def ask(
+        self,
+        do: Callable[[Any], None],
+    ) -> None:
         """Have the node do something in its own thread, as a callback would."""
         timer: list[Any] = []
 

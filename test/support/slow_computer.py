@@ -74,7 +74,11 @@ class Player:
         self._ended = self._clock.event()
         self.begun_s = self._clock.now()
         self._begun_ns = self.client.node.get_clock().now().nanoseconds
-        self._thread = self._clock.thread(self._play, "arm", group="arm")
+        self._thread = self._clock.thread(
+            self._play,
+            "arm",
+            group="arm",
+        )
         self._thread.start()
 
     def _play(self) -> None:
@@ -131,7 +135,12 @@ class Heard:
         self.capabilities: list[dict[str, str]] = []
         listen = client.node.create_subscription
         listen(DiagnosticArray, "/identifier/estimate", self._on_estimate, HEARD)
-        listen(Float64, "/identifier/mass", lambda said: self.masses.append(said.data), HEARD)
+        listen(
+            Float64,
+            "/identifier/mass",
+            lambda said: self.masses.append(said.data),
+            HEARD,
+        )
         listen(InertiaStamped, "/identifier/payload", self.payloads.append, HEARD)
         listen(DiagnosticStatus, "/identifier/capability", self._on_capability, HEARD)
 
@@ -139,7 +148,13 @@ class Heard:
         (status,) = message.status
         stamp_ns = time_ns(message.header.stamp)
         at_s = self._clock.now()
-        said = Said(at_s, stamp_ns, status.level, status.message, values_of(status))
+        said = Said(
+            at_s,
+            stamp_ns,
+            status.level,
+            status.message,
+            values_of(status),
+        )
         if said.values.get("running") == "true":
             self.estimates.append(said)
 
@@ -155,7 +170,10 @@ class Heard:
             and math.isnan(self.payloads[-1].inertia.m)
         )
 
-    def dishonest(self, player: Player) -> list[tuple[float, str]]:
+    def dishonest(
+        self,
+        player: Player,
+    ) -> list[tuple[float, str]]:
         """How old what was said had become [s], and what it was, where it says less of that than it should."""
         found = []
         ends_s = [each.at_s for each in self.estimates[1:]] + [self._clock.now()]

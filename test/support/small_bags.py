@@ -49,7 +49,10 @@ def state(
     )
     seconds, nanoseconds = divmod(time_ns if stamp_ns is None else stamp_ns, 10**9)
     content = joint_state(
-        header=header(stamp=time(sec=seconds, nanosec=nanoseconds), frame_id=""),
+        header=header(
+            stamp=time(sec=seconds, nanosec=nanoseconds),
+            frame_id="",
+        ),
         name=list(names),
         position=np.array(position, dtype=np.float64),
         velocity=np.array(velocity, dtype=np.float64),
@@ -108,8 +111,17 @@ def positions(time_ns: int) -> list[float]:
     return [0.0, -1.4, elbow(time_ns), 0.1, 0.01]
 
 
-def currents(time_ns: int, value: float = -0.3) -> list[float]:
-    return [0.0, 0.0, value if 0 <= time_ns - ONSET_NS < 600_000_000 else 0.0, 0.0, 0.0]
+def currents(
+    time_ns: int,
+    value: float = -0.3,
+) -> list[float]:
+    return [
+        0.0,
+        0.0,
+        value if 0 <= time_ns - ONSET_NS < 600_000_000 else 0.0,
+        0.0,
+        0.0,
+    ]
 
 
 def states(**changes: Any) -> list[Message]:
@@ -127,7 +139,10 @@ def read(path: Path, **options: Any) -> Recording:
 
 
 @contextmanager
-def refused(pattern: str, error: type[ProprioError] = RecordingError) -> Iterator[None]:
+def refused(
+    pattern: str,
+    error: type[ProprioError] = RecordingError,
+) -> Iterator[None]:
     """One line that matches."""
     with pytest.raises(error) as caught:
         yield

@@ -57,7 +57,10 @@ STIFFNESS = wp.constant(len(PARAMETERS))
 def spring_law(directions: int, stribeck: bool) -> Law:
     """The joint of ``sim/joint.py`` with a spring between it and its zero."""
     vec = wp.types.vector(length=directions, dtype=FLOAT)
-    mat = wp.types.matrix(shape=(2, directions), dtype=FLOAT)
+    mat = wp.types.matrix(
+        shape=(2, directions),
+        dtype=FLOAT,
+    )
     acceleration = linearised_acceleration(directions, stribeck)
 
     @wp.func
@@ -76,7 +79,10 @@ def spring_law(directions: int, stribeck: bool) -> Law:
         a, da = acceleration(
             y[0], y[1], dy[0], dy[1], u[CURRENT], load, d_load, p, dp, w, data.constants, r
         )
-        return VEC2(y[1], a), wp.matrix_from_rows(dy[1], da)
+        return VEC2(y[1], a), wp.matrix_from_rows(
+            dy[1],
+            da,
+        )
 
     return one_joint_law(directions, JointData, rates)
 
@@ -108,7 +114,12 @@ class VirtualSpring(HandObject):
         """The arm with the spring taken off."""
         return
 
-    def build(self, mujoco: Any, spec: Any, hand: Any) -> None:
+    def build(
+        self,
+        mujoco: Any,
+        spec: Any,
+        hand: Any,
+    ) -> None:
         spec.joint("joint3").stiffness[0] = self.stiffness
 
 
@@ -117,7 +128,11 @@ class SpringProblem(Problem):
 
     with_spring: int
 
-    def simulator_of(self, runs: list[JointRun], integrator: str) -> JointSimulator:
+    def simulator_of(
+        self,
+        runs: list[JointRun],
+        integrator: str,
+    ) -> JointSimulator:
         return SpringSimulator(runs, integrator)
 
     def all_parameters(
@@ -147,7 +162,12 @@ def find_spring(
     starts = problem.coordinates.internal(problem.coordinates.prior_mean[None])
     fit = FitResult.of(
         problem,
-        solvers.levenberg_marquardt(problem, starts, problem.simulator.windows, iterations=60),
+        solvers.levenberg_marquardt(
+            problem,
+            starts,
+            problem.simulator.windows,
+            iterations=60,
+        ),
     )
     return StiffnessFound(fit, fit, Findings(), len(runs)).estimate()
 
@@ -229,7 +249,12 @@ class Spring(HasBaseline[float]):
         prior: float = settings.take("spring.prior", 1.0, Number())
         return prior
 
-    def identify(self, robot: Robot, recorded: Recorded, facts: float) -> Estimate:
+    def identify(
+        self,
+        robot: Robot,
+        recorded: Recorded,
+        facts: float,
+    ) -> Estimate:
         return find_spring(robot, recorded.runs, facts, recorded.baseline)
 
     def needs_baseline(self, facts: float) -> bool:

@@ -267,7 +267,16 @@ def plain_rate(
     data: JointData,
     r: wp.int32,
 ):
-    return acceleration(q, v, command, extra, p, w, data.constants, r)
+    return acceleration(
+        q,
+        v,
+        command,
+        extra,
+        p,
+        w,
+        data.constants,
+        r,
+    )
 
 
 @cache
@@ -324,7 +333,16 @@ def plain_joint_law(
         v = y[1]
         command = u[CURRENT]
         extra = u[LOAD] + p[w, CARRIED] * u[LOAD_PER_KG]
-        a1 = rate(q, v, command, extra, p, w, data, r)
+        a1 = rate(
+            q,
+            v,
+            command,
+            extra,
+            p,
+            w,
+            data,
+            r,
+        )
         if wp.static(rk4):
             half = FLOAT(0.5)
             two = FLOAT(2.0)
@@ -408,8 +426,17 @@ def forward(
         owner._zeros(worlds, wp.int32),
     ]
     out += [owner._zeros((worlds, samples), wp.int32)]
-    given = [*owner._run_data(owner._full_counts), runs, p, capacity]
-    how: dict[str, Any] = {"dim": worlds, "device": "cpu", "record_cmd": record_cmd}
+    given = [
+        *owner._run_data(owner._full_counts),
+        runs,
+        p,
+        capacity,
+    ]
+    how: dict[str, Any] = {
+        "dim": worlds,
+        "device": "cpu",
+        "record_cmd": record_cmd,
+    }
     return out, runtime.launch(
         schedule(law),
         inputs=given,
@@ -429,7 +456,11 @@ class TapedRollout:
     """
 
     def __init__(
-        self, owner: JointSimulator, law: PlainLaw, world_run: np.ndarray, p: np.ndarray
+        self,
+        owner: JointSimulator,
+        law: PlainLaw,
+        world_run: np.ndarray,
+        p: np.ndarray,
     ) -> None:
         worlds = len(p)
         width = owner._width
@@ -444,7 +475,12 @@ class TapedRollout:
                 "or the forward sensitivities"
             )
         runs = wp.array(world_run, dtype=wp.int32, device="cpu")
-        self._p = wp.array(p, dtype=FLOAT, device="cpu", requires_grad=True)
+        self._p = wp.array(
+            p,
+            dtype=FLOAT,
+            device="cpu",
+            requires_grad=True,
+        )
         (_, *taken, sample_step), _ = forward(
             owner,
             law,
@@ -453,7 +489,11 @@ class TapedRollout:
             capacity,
         )
         self._sampled = owner._zeros((worlds, width), requires_grad=True)
-        y = owner._zeros((worlds, capacity + 1), law.state, requires_grad=True)
+        y = owner._zeros(
+            (worlds, capacity + 1),
+            law.state,
+            requires_grad=True,
+        )
         steps = [
             owner.law_data(),
             runs,

@@ -75,10 +75,19 @@ class Worker:
     def _angles(self) -> np.ndarray:
         return np.array(self.arm.shaft_rad(), dtype=float)
 
-    def _write(self, servo: VirtualServo, register: str, value: int) -> None:
+    def _write(
+        self,
+        servo: VirtualServo,
+        register: str,
+        value: int,
+    ) -> None:
         place = servo.model.registers[register]
         servo.heard(self.now_s)
-        error = servo.write(place.address, place.encode(value), self.now_s)
+        error = servo.write(
+            place.address,
+            place.encode(value),
+            self.now_s,
+        )
         assert not error, (register, error)
 
     def _wanted(self) -> np.ndarray:

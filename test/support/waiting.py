@@ -24,6 +24,9 @@ def comes_true(
     return True
 
 
-def wait_for(ready: Callable[[], object], seconds: float = SOON_S) -> bool:
+def wait_for(
+    ready: Callable[[], object],
+    seconds: float = SOON_S,
+) -> bool:
     """Whether it became true before something hangs."""
     return comes_true(ready, seconds, time.monotonic, time.sleep)

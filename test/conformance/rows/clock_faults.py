@@ -9,7 +9,10 @@ _MOTION = "ur10e"
 _PUSH = "push_light_ball_20g_joint3_calibrated"
 
 
-def _one_clock_is_whole(kind: str, base: str) -> tuple[Row, ...]:
+def _one_clock_is_whole(
+    kind: str,
+    base: str,
+) -> tuple[Row, ...]:
     """Troubles that the other clock mends, of a motion or of a push."""
     return (
         Row(
@@ -17,7 +20,12 @@ def _one_clock_is_whole(kind: str, base: str) -> tuple[Row, ...]:
             section=_SECTION,
             trouble="a time service sets the clock of the headers forward after the drivers have started",
             base=base,
-            bends=(Bent("header_clock_steps", {"step_s": 3.2, "at": 0.4}),),
+            bends=(
+                Bent(
+                    "header_clock_steps",
+                    {"step_s": 3.2, "at": 0.4},
+                ),
+            ),
             verdicts=(ACCEPTED,),
             cause=r"header stamps step by \+3.2 s",
             said_if=VERDICTS,
@@ -28,7 +36,12 @@ def _one_clock_is_whole(kind: str, base: str) -> tuple[Row, ...]:
             section=_SECTION,
             trouble="the recorder's clock alone is set, forward",
             base=base,
-            bends=(Bent("recorder_clock_steps", {"step_s": 2.0, "at": 0.5}),),
+            bends=(
+                Bent(
+                    "recorder_clock_steps",
+                    {"step_s": 2.0, "at": 0.5},
+                ),
+            ),
             verdicts=(ACCEPTED,),
             cause=r"recorder's clock steps by",
             said_if=VERDICTS,
@@ -39,7 +52,12 @@ def _one_clock_is_whole(kind: str, base: str) -> tuple[Row, ...]:
             section=_SECTION,
             trouble="messages are recorded ten at a time, under stamps that are even",
             base=base,
-            bends=(Bent("bursts_stamped_at_arrival", {"size": 10, "headers": False}),),
+            bends=(
+                Bent(
+                    "bursts_stamped_at_arrival",
+                    {"size": 10, "headers": False},
+                ),
+            ),
             verdicts=(ACCEPTED,),
             unsaid="damaged",
         ),
@@ -76,7 +94,12 @@ ROWS = (
         section=_SECTION,
         trouble="a time service sets the robot's clock back after the drivers have started",
         base=_PUSH,
-        bends=(Bent("header_clock_steps", {"step_s": -3.2, "at": 0.5}),),
+        bends=(
+            Bent(
+                "header_clock_steps",
+                {"step_s": -3.2, "at": 0.5},
+            ),
+        ),
         verdicts=(ACCEPTED,),
         cause=r"header stamps step by -3.2 s",
         said_if=VERDICTS,
@@ -101,7 +124,12 @@ ROWS = (
         section=_SECTION,
         trouble="messages are stamped as they arrive, five at a time",
         base=_PUSH,
-        bends=(Bent("bursts_stamped_at_arrival", {"size": 5, "headers": True}),),
+        bends=(
+            Bent(
+                "bursts_stamped_at_arrival",
+                {"size": 5, "headers": True},
+            ),
+        ),
         verdicts=(ACCEPTED,),
         cause=r"come in bursts",
         said_if=VERDICTS,
@@ -131,7 +159,12 @@ ROWS = (
         section=_SECTION,
         trouble="half as many messages come from the middle on",
         base=_PUSH,
-        bends=(Bent("rate_changes", {"ratio": 2, "at": 0.5}),),
+        bends=(
+            Bent(
+                "rate_changes",
+                {"ratio": 2, "at": 0.5},
+            ),
+        ),
         verdicts=(ACCEPTED,),
         unsaid="damaged",
     ),
@@ -150,7 +183,12 @@ ROWS = (
         section=_SECTION,
         trouble="messages are stamped as they arrive, when somebody polls",
         base=_MOTION,
-        bends=(Bent("stamped_when_polled", {"every_ms": 47.0, "scatter": 0.1}),),
+        bends=(
+            Bent(
+                "stamped_when_polled",
+                {"every_ms": 47.0, "scatter": 0.1},
+            ),
+        ),
         verdicts=(ACCEPTED,),
         cause=r"come in bursts",
         said_if=VERDICTS,
@@ -161,7 +199,12 @@ ROWS = (
         section=_SECTION,
         trouble="positions are read less often than efforts",
         base=_MOTION,
-        bends=(Bent("one_register_held", {"rate": 5, "field": "position"}),),
+        bends=(
+            Bent(
+                "one_register_held",
+                {"rate": 5, "field": "position"},
+            ),
+        ),
         verdicts=(ACCEPTED,),
         unsaid="damaged",
     ),
@@ -170,7 +213,12 @@ ROWS = (
         section=_SECTION,
         trouble="efforts are read less often than positions",
         base=_MOTION,
-        bends=(Bent("one_register_held", {"rate": 5, "field": "effort"}),),
+        bends=(
+            Bent(
+                "one_register_held",
+                {"rate": 5, "field": "effort"},
+            ),
+        ),
         verdicts=(ACCEPTED,),
         unsaid="damaged",
     ),

@@ -61,7 +61,12 @@ ROWS = (
         section=_SECTION,
         trouble="a time service steps the clock back by 3.2 s in the middle, after the drivers have started",
         base="ur10e",
-        bends=(Bent("clock_steps", {"step_s": -3.2, "at": 0.5}),),
+        bends=(
+            Bent(
+                "clock_steps",
+                {"step_s": -3.2, "at": 0.5},
+            ),
+        ),
         verdicts=_TOLD,
         cause=r"clock|step",
         said_if=VERDICTS,
@@ -73,7 +78,13 @@ ROWS = (
         section=_SECTION,
         trouble="the clock steps forward by 4 s, in the loaded recording alone",
         base="ur10e",
-        bends=(Bent("clock_steps", {"step_s": 4.0, "at": 0.4}, _LOADED),),
+        bends=(
+            Bent(
+                "clock_steps",
+                {"step_s": 4.0, "at": 0.4},
+                _LOADED,
+            ),
+        ),
         verdicts=_TOLD,
         cause=r"clock|step|gap",
         said_if=VERDICTS,
@@ -84,7 +95,12 @@ ROWS = (
         section=_SECTION,
         trouble="the clock of the headers alone steps by -3.2 s in the middle; the recorder's is whole",
         base="ur10e",
-        bends=(Bent("header_clock_steps", {"step_s": -3.2, "at": 0.5}),),
+        bends=(
+            Bent(
+                "header_clock_steps",
+                {"step_s": -3.2, "at": 0.5},
+            ),
+        ),
         verdicts=_TOLD,
         cause=r"clock|step",
         said_if=VERDICTS,
@@ -138,7 +154,12 @@ ROWS = (
         section=_SECTION,
         trouble="messages come in bursts of 20 and are stamped as a burst arrives",
         base="ur10e",
-        bends=(Bent("bursts_stamped_at_arrival", {"size": 20, "headers": True}),),
+        bends=(
+            Bent(
+                "bursts_stamped_at_arrival",
+                {"size": 20, "headers": True},
+            ),
+        ),
         cause=r"burst|stamp|arriv|clock",
         unsaid=_DAMAGED,
     ),
@@ -155,7 +176,12 @@ ROWS = (
         section=_SECTION,
         trouble="from the middle on every third message is left",
         base="ur10e",
-        bends=(Bent("rate_changes", {"ratio": 3, "at": 0.5}),),
+        bends=(
+            Bent(
+                "rate_changes",
+                {"ratio": 3, "at": 0.5},
+            ),
+        ),
         verdicts=_TOLD,
     ),
 )

@@ -19,7 +19,12 @@ ROWS = (
         section=_SECTION,
         trouble="firmware scales joints 1 to 3 by 4",
         base="ur10e",
-        bends=(Bent("joints_scaled", {"joints": _FIRST_THREE, "factor": 4}),),
+        bends=(
+            Bent(
+                "joints_scaled",
+                {"joints": _FIRST_THREE, "factor": 4},
+            ),
+        ),
         verdicts=_REFUSED,
         codes=("arm_unlike_urdf", "other_torque"),
         cause=r"\b(4(\.\d)?|3\.[5-9]\d?) times|by 4\b|x 4\b|0?\.25",
@@ -29,7 +34,13 @@ ROWS = (
         section=_SECTION,
         trouble="the same in the loaded recording alone",
         base="ur10e",
-        bends=(Bent("joints_scaled", {"joints": _FIRST_THREE, "factor": 4}, _LOADED),),
+        bends=(
+            Bent(
+                "joints_scaled",
+                {"joints": _FIRST_THREE, "factor": 4},
+                _LOADED,
+            ),
+        ),
         verdicts=_REFUSED,
         codes=("arm_unlike_urdf", "other_torque"),
         cause=r"\b(4(\.\d)?|3\.[5-9]\d?) times|by 4\b|x 4\b|0?\.25",
@@ -58,7 +69,12 @@ ROWS = (
         section=_SECTION,
         trouble="single samples of effort, 2 % of them, are 0",
         base="ur10e",
-        bends=(Bent("effort_drops_out", {"share": 0.02, "value": 0.0}),),
+        bends=(
+            Bent(
+                "effort_drops_out",
+                {"share": 0.02, "value": 0.0},
+            ),
+        ),
         verdicts=(ACCEPTED,),
         narrow=0.3,
     ),
@@ -67,7 +83,12 @@ ROWS = (
         section=_SECTION,
         trouble="single samples of effort, 2 % of them, are denormal numbers of unwritten memory",
         base="ur10e",
-        bends=(Bent("effort_drops_out", {"share": 0.02, "value": 5e-324}),),
+        bends=(
+            Bent(
+                "effort_drops_out",
+                {"share": 0.02, "value": 5e-324},
+            ),
+        ),
         verdicts=(ACCEPTED,),
         narrow=0.3,
     ),

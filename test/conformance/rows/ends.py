@@ -27,7 +27,11 @@ def _other_joints(folder: Path, files: Files) -> Files:
 def _other_joints_turned(folder: Path, files: Files) -> Files:
     """`amd02_joint3_alone` by `amd02_joint1_alone`"""
     found = _other_joints(folder, files)
-    return {**found, "loaded": found["empty"], "empty": found["loaded"]}
+    return {
+        **found,
+        "loaded": found["empty"],
+        "empty": found["loaded"],
+    }
 
 
 def _both_loaded(folder: Path, files: Files) -> Files:

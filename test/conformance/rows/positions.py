@@ -48,7 +48,13 @@ ROWS = (
         section=_SECTION,
         trouble="a horn was put on anew between the two recordings: 0.3 rad",
         base="ur10e",
-        bends=(Bent("joint_zero_off", {"joint": "elbow_joint", "zero_rad": 0.3}, _LOADED),),
+        bends=(
+            Bent(
+                "joint_zero_off",
+                {"joint": "elbow_joint", "zero_rad": 0.3},
+                _LOADED,
+            ),
+        ),
         verdicts=("rejected", "not_identifiable"),
         codes=("other_zero",),
         cause=r"elbow_joint is read",
@@ -58,7 +64,12 @@ ROWS = (
         section=_SECTION,
         trouble="one degree of play at each gear",
         base="ur10e",
-        bends=(Bent("all_joints_have_play", {"gear_rad": math.radians(1.0)}),),
+        bends=(
+            Bent(
+                "all_joints_have_play",
+                {"gear_rad": math.radians(1.0)},
+            ),
+        ),
     ),
     *(
         Row(

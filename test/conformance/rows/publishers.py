@@ -28,7 +28,12 @@ ROWS = (
         section=_SECTION,
         trouble="it sends them at times of its own, ten times less often",
         base="ur10e",
-        bends=(Bent("zeros_at_times_of_its_own", {"rate": 10, "at": 0.5}),),
+        bends=(
+            Bent(
+                "zeros_at_times_of_its_own",
+                {"rate": 10, "at": 0.5},
+            ),
+        ),
         verdicts=(ACCEPTED,),
         cause=_SAID,
         said_if=VERDICTS,

@@ -48,7 +48,11 @@ ROWS = (
         trouble="a locked joint's reading steps by 10 mrad in mid-run",
         base=_20_G,
         bends=(
-            Bent("push_joint_steps", {"joint": "joint2", "step_rad": 0.01, "at": 0.5}, _LOADED),
+            Bent(
+                "push_joint_steps",
+                {"joint": "joint2", "step_rad": 0.01, "at": 0.5},
+                _LOADED,
+            ),
         ),
         cause=r"step|jump|slip|moved",
     ),
@@ -68,7 +72,13 @@ ROWS = (
         section=_SECTION,
         trouble="the same with 10 mA of noise, so that it never settles",
         base=_20_G,
-        bends=(Bent("push_command_scaled_and_noisy", {"factor": 0.8, "std_A": 0.01}, _LOADED),),
+        bends=(
+            Bent(
+                "push_command_scaled_and_noisy",
+                {"factor": 0.8, "std_A": 0.01},
+                _LOADED,
+            ),
+        ),
         cause=r"command",
     ),
 )

@@ -70,7 +70,10 @@ def _heavier_hand(folder: Path, files: Files) -> Files:
     (folder / "ur10e.urdf").write_text(before + last + after, encoding="utf-8")
     robot = (share / "config" / "robots" / "ur10e.yaml").read_text(encoding="utf-8")
     path = folder / "ur10e.yaml"
-    path.write_text(re.sub(r"(?m)^urdf: .*$", "urdf: ur10e.urdf", robot), encoding="utf-8")
+    path.write_text(
+        re.sub(r"(?m)^urdf: .*$", "urdf: ur10e.urdf", robot),
+        encoding="utf-8",
+    )
     return {**files, "robot": path}
 
 

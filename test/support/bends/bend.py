@@ -64,7 +64,11 @@ class Bend:
         """What it is, in a sentence."""
         return (self.change.__doc__ or self.name).splitlines()[0].rstrip(".")
 
-    def drawn(self, rng: Rng, tape: Tape) -> dict[str, Any]:
+    def drawn(
+        self,
+        rng: Rng,
+        tape: Tape,
+    ) -> dict[str, Any]:
         """Parameters for a recording."""
         return {name: draw(rng, tape) for name, draw in self.parameters.items()}
 

@@ -23,7 +23,12 @@ def _arm(count: int) -> Draw:
     return one_of([f"joint{number}" for number in range(1, count + 1)])
 
 
-def _shifted(tape: Tape, joint: str, by_rad: float, from_share: float) -> Tape:
+def _shifted(
+    tape: Tape,
+    joint: str,
+    by_rad: float,
+    from_share: float,
+) -> Tape:
     def changed(states: Stream) -> Stream:
         if joint not in states.names:
             return states
@@ -42,7 +47,12 @@ def _shifted(tape: Tape, joint: str, by_rad: float, from_share: float) -> Tape:
     joint=_recorded_joint,
     zero_rad=either_sign(0.01, 0.15),
 )
-def push_zero_off(tape: Tape, rng: Rng, joint: str, zero_rad: float) -> Tape:
+def push_zero_off(
+    tape: Tape,
+    rng: Rng,
+    joint: str,
+    zero_rad: float,
+) -> Tape:
     """One joint is read from elsewhere in a push."""
     return _shifted(tape, joint, zero_rad, 0.0)
 
@@ -90,7 +100,12 @@ def push_command_scaled(tape: Tape, rng: Rng, factor: float) -> Tape:
     factor=one_of((0.5, 0.8, 1.25, 2.0)),
     std_A=between(0.002, 0.02),
 )
-def push_command_scaled_and_noisy(tape: Tape, rng: Rng, factor: float, std_A: float) -> Tape:
+def push_command_scaled_and_noisy(
+    tape: Tape,
+    rng: Rng,
+    factor: float,
+    std_A: float,
+) -> Tape:
     """The same, with noise on the command, so that it never settles."""
 
     def changed(stream: Stream) -> Stream:
@@ -156,7 +171,12 @@ def push_clock_at_another_pace(tape: Tape, rng: Rng, factor: float) -> Tape:
     joint=_arm(4),
     other=_arm(4),
 )
-def push_joints_exchanged(tape: Tape, rng: Rng, joint: str, other: str) -> Tape:
+def push_joints_exchanged(
+    tape: Tape,
+    rng: Rng,
+    joint: str,
+    other: str,
+) -> Tape:
     """The positions of two joints are exchanged."""
 
     def changed(states: Stream) -> Stream:

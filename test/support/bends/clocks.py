@@ -43,7 +43,12 @@ def _velocities(tape: Tape, kind: str, factor: float) -> Tape:
     factor=between(0.5, 2.0),
     velocity=one_of(("true", "derived", "none")),
 )
-def clock_at_another_pace(tape: Tape, rng: Rng, factor: float, velocity: str) -> Tape:
+def clock_at_another_pace(
+    tape: Tape,
+    rng: Rng,
+    factor: float,
+    velocity: str,
+) -> Tape:
     """All stamps and the recorder's times run fast or slow, as frame / fps of a loop that runs slower."""
     return _velocities(stretched(tape, factor), velocity, factor)
 
@@ -54,7 +59,12 @@ def clock_at_another_pace(tape: Tape, rng: Rng, factor: float, velocity: str) ->
     step_s=either_sign(0.3, 5.0),
     at=between(0.25, 0.75),
 )
-def clock_steps(tape: Tape, rng: Rng, step_s: float, at: float) -> Tape:
+def clock_steps(
+    tape: Tape,
+    rng: Rng,
+    step_s: float,
+    at: float,
+) -> Tape:
     """Headers and recorder step by some seconds in the middle, as when a time service corrects the clock."""
     return _stepped(tape, step_s, at, recorder=True)
 
@@ -65,13 +75,23 @@ def clock_steps(tape: Tape, rng: Rng, step_s: float, at: float) -> Tape:
     step_s=either_sign(0.3, 5.0),
     at=between(0.25, 0.75),
 )
-def header_clock_steps(tape: Tape, rng: Rng, step_s: float, at: float) -> Tape:
+def header_clock_steps(
+    tape: Tape,
+    rng: Rng,
+    step_s: float,
+    at: float,
+) -> Tape:
     """Headers alone step by some seconds in the middle."""
     return _stepped(tape, step_s, at, recorder=False)
 
 
 @bend("clocks", Right(told=True, cause=CLOCK), step_s=either_sign(0.3, 5.0), at=between(0.25, 0.75))
-def recorder_clock_steps(tape: Tape, rng: Rng, step_s: float, at: float) -> Tape:
+def recorder_clock_steps(
+    tape: Tape,
+    rng: Rng,
+    step_s: float,
+    at: float,
+) -> Tape:
     """The recorder's clock alone steps by some seconds in the middle, as on a computer beside the robot."""
     return _stepped(tape, step_s, at, recorder=True, stamps=False)
 
@@ -123,7 +143,12 @@ def row_number_for_a_time(tape: Tape, rng: Rng) -> Tape:
     size=one_of((5, 10, 20, 50)),
     headers=one_of((True, False)),
 )
-def bursts_stamped_at_arrival(tape: Tape, rng: Rng, size: int, headers: bool) -> Tape:
+def bursts_stamped_at_arrival(
+    tape: Tape,
+    rng: Rng,
+    size: int,
+    headers: bool,
+) -> Tape:
     """Messages come in bursts: the recorder, or also the header, has the time at which a burst arrived."""
 
     def arrived(times_ns: TimeArray) -> TimeArray:
@@ -138,7 +163,12 @@ def bursts_stamped_at_arrival(tape: Tape, rng: Rng, size: int, headers: bool) ->
 
 
 @bend("clocks", Right(cause=CLOCK), every_ms=between(15.0, 200.0), scatter=between(0.0, 0.3))
-def stamped_when_polled(tape: Tape, rng: Rng, every_ms: float, scatter: float) -> Tape:
+def stamped_when_polled(
+    tape: Tape,
+    rng: Rng,
+    every_ms: float,
+    scatter: float,
+) -> Tape:
     """Somebody looks every so often, hands on all that has come since, and stamps it then."""
     lasts_s = 1e-9 * (tape.end_ns - tape.begin_ns) + 2.0
     between_s = 1e-3 * every_ms * (1.0 + scatter * rng.normal(size=int(3e3 * lasts_s / every_ms)))
@@ -152,7 +182,12 @@ def stamped_when_polled(tape: Tape, rng: Rng, every_ms: float, scatter: float) -
 
 
 @bend("clocks", Right(), rate=one_of((2, 3, 5)), field=one_of(("position", "effort")))
-def one_register_held(tape: Tape, rng: Rng, rate: int, field: str) -> Tape:
+def one_register_held(
+    tape: Tape,
+    rng: Rng,
+    rate: int,
+    field: str,
+) -> Tape:
     """Positions or efforts alone are read less often than they are published."""
 
     def held(states: Stream) -> Stream:
@@ -181,7 +216,12 @@ def samples_held(tape: Tape, rng: Rng, rate: int) -> Tape:
     ratio=one_of((2, 3, 4)),
     at=between(0.3, 0.7),
 )
-def rate_changes(tape: Tape, rng: Rng, ratio: int, at: float) -> Tape:
+def rate_changes(
+    tape: Tape,
+    rng: Rng,
+    ratio: int,
+    at: float,
+) -> Tape:
     """From some moment on messages come less often."""
 
     def thinned(stream: Stream) -> Stream:
@@ -189,4 +229,7 @@ def rate_changes(tape: Tape, rng: Rng, ratio: int, at: float) -> Tape:
         late = number >= at * len(number)
         return stream.kept(~late | (number % ratio == 0))
 
-    return Tape(tuple(thinned(each) for each in tape.streams), tape.others)
+    return Tape(
+        tuple(thinned(each) for each in tape.streams),
+        tape.others,
+    )

@@ -95,7 +95,12 @@ def effort_frozen(tape: Tape, rng: Rng, at: float) -> Tape:
     at=between(0.3, 0.8),
     value=one_of((0.0, float("nan"))),
 )
-def effort_gone(tape: Tape, rng: Rng, at: float, value: float) -> Tape:
+def effort_gone(
+    tape: Tape,
+    rng: Rng,
+    at: float,
+    value: float,
+) -> Tape:
     """From some moment on the effort is 0, or NaN."""
 
     def gone(effort: FloatArray, _: Stream) -> FloatArray:
@@ -111,7 +116,12 @@ def effort_gone(tape: Tape, rng: Rng, at: float, value: float) -> Tape:
     share=between(0.001, 0.05),
     value=one_of((0.0, float("nan"), 5e-324)),
 )
-def effort_drops_out(tape: Tape, rng: Rng, share: float, value: float) -> Tape:
+def effort_drops_out(
+    tape: Tape,
+    rng: Rng,
+    share: float,
+    value: float,
+) -> Tape:
     """Single samples of effort are 0, NaN or a denormal number."""
 
     def dropped(effort: FloatArray, _: Stream) -> FloatArray:
@@ -201,7 +211,11 @@ def friction_falls_by_a_current(tape: Tape, rng: Rng, current: float) -> Tape:
     def warmed(effort: FloatArray, states: Stream) -> FloatArray:
         times_s = 1e-9 * (states.stamp_ns - states.stamp_ns[0])
         increasing = np.maximum.accumulate(times_s) + 1e-6 * np.arange(len(times_s))
-        velocity = np.gradient(states.values["position"], increasing, axis=0)
+        velocity = np.gradient(
+            states.values["position"],
+            increasing,
+            axis=0,
+        )
         along = np.linspace(0.0, 1.0, len(effort))[:, None]
         return effort - current * along * np.tanh(velocity / 0.02)
 
@@ -214,7 +228,12 @@ def friction_falls_by_a_current(tape: Tape, rng: Rng, current: float) -> Tape:
     at=between(0.3, 0.7),
     share=either_sign(0.1, 0.5),
 )
-def effort_steps(tape: Tape, rng: Rng, at: float, share: float) -> Tape:
+def effort_steps(
+    tape: Tape,
+    rng: Rng,
+    at: float,
+    share: float,
+) -> Tape:
     """From some moment on one offset is on each joint's effort, as of another payload set in the controller."""
 
     def stepped(effort: FloatArray, states: Stream) -> FloatArray:

@@ -22,7 +22,10 @@ def _records(content: bytes) -> list[tuple[int, int, int]]:
     found = []
     at = _MAGIC
     while at + 9 <= len(content) - _MAGIC:
-        length = int.from_bytes(content[at + 1 : at + 9], "little")
+        length = int.from_bytes(
+            content[at + 1 : at + 9],
+            "little",
+        )
         found.append((content[at], at, at + 9 + length))
         at += 9 + length
     return found

@@ -36,7 +36,12 @@ def bent(path: Path, bend: Bend, source: Path) -> Path:
     for topic, msgtype, time_ns, message in messages_of(source):
         time_ns, message = bend(topic, time_ns, message)
         made.append(
-            RawMessage(topic, msgtype, time_ns, bytes(TYPES.serialize_cdr(message, msgtype)))
+            RawMessage(
+                topic,
+                msgtype,
+                time_ns,
+                bytes(TYPES.serialize_cdr(message, msgtype)),
+            )
         )
     write_messages(path, made, "mcap")
     return path

@@ -46,7 +46,12 @@ def joint_reversed(tape: Tape, rng: Rng, joint: str) -> Tape:
     joint=a_joint,
     zero_rad=either_sign(0.005, 0.5),
 )
-def joint_zero_off(tape: Tape, rng: Rng, joint: str, zero_rad: float) -> Tape:
+def joint_zero_off(
+    tape: Tape,
+    rng: Rng,
+    joint: str,
+    zero_rad: float,
+) -> Tape:
     """One joint is read from elsewhere."""
     return with_position(tape, joint, lambda position: position + zero_rad)
 
@@ -80,7 +85,12 @@ def joint_slips(
     joint=a_joint,
     low_rad=one_of((-np.pi, 0.0, -0.5 * np.pi)),
 )
-def joint_wraps(tape: Tape, rng: Rng, joint: str, low_rad: float) -> Tape:
+def joint_wraps(
+    tape: Tape,
+    rng: Rng,
+    joint: str,
+    low_rad: float,
+) -> Tape:
     """One joint's angle wraps around in mid-motion: from -pi, 0 or -pi/2 on."""
 
     def wrapped(position: FloatArray) -> FloatArray:
@@ -98,7 +108,12 @@ def joint_wraps(tape: Tape, rng: Rng, joint: str, low_rad: float) -> Tape:
     joint=a_joint,
     gear_rad=between(0.002, 0.03),
 )
-def joint_has_play(tape: Tape, rng: Rng, joint: str, gear_rad: float) -> Tape:
+def joint_has_play(
+    tape: Tape,
+    rng: Rng,
+    joint: str,
+    gear_rad: float,
+) -> Tape:
     """One joint has backlash: the reading is behind the gear, on one flank or the other."""
 
     def played(position: FloatArray) -> FloatArray:
@@ -128,7 +143,12 @@ def positions_scaled(tape: Tape, rng: Rng, factor: float) -> Tape:
     joint=a_joint,
     bits=one_of((11, 15)),
 )
-def sign_bit_not_decoded(tape: Tape, rng: Rng, joint: str, bits: int) -> Tape:
+def sign_bit_not_decoded(
+    tape: Tape,
+    rng: Rng,
+    joint: str,
+    bits: int,
+) -> Tape:
     """One joint's negative counts have their sign in a bit that nobody decoded."""
     count_rad = 2.0 * np.pi / 4096.0
 

@@ -23,7 +23,12 @@ def _beside(states: Stream, lag_ns: int) -> Stream:
     lag_us=one_of((-50, 50)),
     effort=one_of((True, False)),
 )
-def zeros_with_the_same_stamps(tape: Tape, rng: Rng, lag_us: int, effort: bool) -> Tape:
+def zeros_with_the_same_stamps(
+    tape: Tape,
+    rng: Rng,
+    lag_us: int,
+    effort: bool,
+) -> Tape:
     """A second publisher sends zeros with the same stamps, before or after each message, with or without effort."""
     copy = _beside(tape.states, 1000 * lag_us)
     zeros = np.zeros_like(copy.values["position"])
@@ -37,7 +42,12 @@ def zeros_with_the_same_stamps(tape: Tape, rng: Rng, lag_us: int, effort: bool) 
     rate=one_of((2, 5, 10)),
     at=between(0.2, 0.8),
 )
-def zeros_at_times_of_its_own(tape: Tape, rng: Rng, rate: int, at: float) -> Tape:
+def zeros_at_times_of_its_own(
+    tape: Tape,
+    rng: Rng,
+    rate: int,
+    at: float,
+) -> Tape:
     """A second publisher sends zeros, less often and with stamps between the others'."""
     states = tape.states
     chosen = states.kept(np.arange(len(states.bag_ns)) % rate == 0)
@@ -120,7 +130,10 @@ def another_pose(tape: Tape, rng: Rng, rate: int) -> Tape:
     chosen = states.kept(np.arange(len(states.bag_ns)) % rate == 0)
     shape = chosen.values["position"].shape
     pose = np.tile(
-        np.round(rng.uniform(-2.0, 2.0, shape[1]), 2),
+        np.round(
+            rng.uniform(-2.0, 2.0, shape[1]),
+            2,
+        ),
         (shape[0], 1),
     )
     values = {
@@ -144,7 +157,12 @@ def another_pose(tape: Tape, rng: Rng, rate: int) -> Tape:
     second=one_of(("same", "zeros", "nothing")),
     first=one_of((True, False)),
 )
-def doubled_list(tape: Tape, rng: Rng, second: str, first: bool) -> Tape:
+def doubled_list(
+    tape: Tape,
+    rng: Rng,
+    second: str,
+    first: bool,
+) -> Tape:
     """Each message names all joints twice, the second time the same, with zeros or with NaN, or the other way round."""
 
     def doubled(states: Stream) -> Stream:

@@ -18,7 +18,12 @@ def zero_off(recording: Recording, joint: str, by_rad: float) -> Recording:
     return step(recording, joint, by_rad, -np.inf)
 
 
-def step(recording: Recording, joint: str, by_rad: float, at_s: float) -> Recording:
+def step(
+    recording: Recording,
+    joint: str,
+    by_rad: float,
+    at_s: float,
+) -> Recording:
     """A joint's reading jumps at an instant and stays off.
 
     Args:
@@ -51,10 +56,17 @@ def swapped(recording: Recording, joint: str, other: str) -> Recording:
 def scaled_command(recording: Recording, factor: float) -> Recording:
     """The command that was recorded is a multiple of that which flowed; efforts stay."""
     inputs = _input(recording)
-    return replace(recording, inputs=replace(inputs, current_A=factor * inputs.current_A))
+    return replace(
+        recording,
+        inputs=replace(inputs, current_A=factor * inputs.current_A),
+    )
 
 
-def noisy_command(recording: Recording, std_A: float, random: np.random.Generator) -> Recording:
+def noisy_command(
+    recording: Recording,
+    std_A: float,
+    random: np.random.Generator,
+) -> Recording:
     """Every row of the command was recorded with an error of its own while the joint is driven; efforts stay.
 
     Args:
@@ -64,7 +76,10 @@ def noisy_command(recording: Recording, std_A: float, random: np.random.Generato
     """
     inputs = _input(recording)
     noise = std_A * random.standard_normal(inputs.current_A.shape) * (inputs.current_A != 0.0)
-    return replace(recording, inputs=replace(inputs, current_A=inputs.current_A + noise))
+    return replace(
+        recording,
+        inputs=replace(inputs, current_A=inputs.current_A + noise),
+    )
 
 
 def command_of(recording: Recording, joint: str) -> Recording:

@@ -88,12 +88,18 @@ class Tape:
     @property
     def moving(self) -> tuple[str, ...]:
         """The joints that turn by more than 0.1 rad."""
-        spans = np.ptp(self.states.values["position"], axis=0)
+        spans = np.ptp(
+            self.states.values["position"],
+            axis=0,
+        )
         return tuple(
             name for name, span in zip(self.states.names, spans, strict=True) if span > 0.1
         )
 
-    def with_states(self, change: Callable[[Stream], Stream]) -> Tape:
+    def with_states(
+        self,
+        change: Callable[[Stream], Stream],
+    ) -> Tape:
         """The same with every stream of joint states changed."""
         return self.with_topic(STATES, change)
 
@@ -189,7 +195,10 @@ def _stream(
     msgtype: str,
     found: list[tuple[int, Any]],
 ) -> Stream:
-    bag_ns = np.array([time_ns for time_ns, _ in found], dtype=np.int64)
+    bag_ns = np.array(
+        [time_ns for time_ns, _ in found],
+        dtype=np.int64,
+    )
     messages = [message for _, message in found]
     first = messages[0]
     if msgtype == FLOAT_ARRAY:
@@ -203,7 +212,15 @@ def _stream(
         if len(getattr(first, name))
     }
     stamp_ns = np.array(stamps, dtype=np.int64)
-    return Stream(topic, msgtype, tuple(first.name), bag_ns, stamp_ns, values, first)
+    return Stream(
+        topic,
+        msgtype,
+        tuple(first.name),
+        bag_ns,
+        stamp_ns,
+        values,
+        first,
+    )
 
 
 def _joint_rows(stream: Stream) -> np.ndarray:
@@ -211,14 +228,23 @@ def _joint_rows(stream: Stream) -> np.ndarray:
     empty = np.empty(0)
     header = stream.first.header
     names = list(stream.names)
-    bare = type(stream.first)(header, names, empty, empty, empty)
+    bare = type(stream.first)(
+        header,
+        names,
+        empty,
+        empty,
+        empty,
+    )
     raw = bytes(message_types().serialize_cdr(bare, JOINT_STATE))
     # three sequences without elements end it
     head = np.frombuffer(
         raw[: len(raw) - len(FIELDS) * _COUNT],
         np.uint8,
     )
-    rows = np.tile(head, (len(stream.bag_ns), 1))
+    rows = np.tile(
+        head,
+        (len(stream.bag_ns), 1),
+    )
     seconds, nanoseconds = np.divmod(stream.stamp_ns, 10**9)
     rows[:, 4:8] = _bytes(seconds.astype("<i4")[:, None])
     rows[:, 8:12] = _bytes(nanoseconds.astype("<u4")[:, None])
@@ -229,14 +255,26 @@ def _joint_rows(stream: Stream) -> np.ndarray:
 
 def _array_rows(stream: Stream) -> np.ndarray:
     """Bytes of all messages, shape (T, L)."""
-    bare = type(stream.first)(stream.first.layout, np.empty(0))
+    bare = type(stream.first)(
+        stream.first.layout,
+        np.empty(0),
+    )
     raw = bytes(message_types().serialize_cdr(bare, FLOAT_ARRAY))
-    head = np.frombuffer(raw[: len(raw) - _COUNT], np.uint8)
-    rows = np.tile(head, (len(stream.bag_ns), 1))
+    head = np.frombuffer(
+        raw[: len(raw) - _COUNT],
+        np.uint8,
+    )
+    rows = np.tile(
+        head,
+        (len(stream.bag_ns), 1),
+    )
     return _with_numbers(rows, stream.values["data"])
 
 
-def _with_numbers(rows: np.ndarray, numbers: FloatArray | None) -> np.ndarray:
+def _with_numbers(
+    rows: np.ndarray,
+    numbers: FloatArray | None,
+) -> np.ndarray:
     """Rows with a sequence of float64 behind them: count, padding to 8 bytes, numbers."""
     messages = len(rows)
     columns = 0 if numbers is None else numbers.shape[1]

@@ -66,11 +66,19 @@ def found(**bags: str) -> Callable[[Path], Files]:
     return partial(_found, bags=bags)
 
 
-def _found(folder: Path, bags: Mapping[str, str]) -> Files:
+def _found(
+    folder: Path,
+    bags: Mapping[str, str],
+) -> Files:
     return {name: REAL / bag for name, bag in bags.items()}
 
 
-def ur10e(name: str, loaded: str, empty: str, truth: float) -> Base:
+def ur10e(
+    name: str,
+    loaded: str,
+    empty: str,
+    truth: float,
+) -> Base:
     """The real UR10e, by another recording with an empty hand."""
     held = f"{truth:g} kg" if truth else "nothing"
     return Base(
@@ -122,7 +130,12 @@ _SERVO_KG = (0.535, 0.741, 0.969, 1.168)
 _STS_DRIVE = "{kind: position_servo, gain_per_rad: 2.656, limit: 0.97, goal_speed_rad_s: 5.215}"
 
 
-def _pendulum_file(folder: Path, name: str, motor: str, drive: str) -> Path:
+def _pendulum_file(
+    folder: Path,
+    name: str,
+    motor: str,
+    drive: str,
+) -> Path:
     """The robot file of a servo with a rod of 0.1 m."""
     folder.mkdir(parents=True, exist_ok=True)
     pendulum_urdf(folder, name, 0.001, 0.1)

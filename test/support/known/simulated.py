@@ -15,7 +15,11 @@ from support.fleet import write_bag
 from support.moved_arm import record_arm
 
 Files = Mapping[str, Path]
-BUILDS: Mapping[str, Build] = {"six": SIX, "four": FOUR, "three": THREE}
+BUILDS: Mapping[str, Build] = {
+    "six": SIX,
+    "four": FOUR,
+    "three": THREE,
+}
 SECONDS = {"six": 20.0, "four": 30.0, "three": 20.0}
 
 
@@ -119,7 +123,10 @@ def so101(folder: Path, seed: int) -> Files:
         arm = benchmark.Arm(random)
 
         def bag(name: str, load_kg: float) -> Path:
-            return benchmark.write(place / name, arm.moved(load_kg, random, 30.0, 40.0))
+            return benchmark.write(
+                place / name,
+                arm.moved(load_kg, random, 30.0, 40.0),
+            )
 
         empty = [bag("a", 0.0), bag("b", 0.0)]
         known = {bag("known", benchmark.KNOWN_KG): benchmark.KNOWN_KG}
