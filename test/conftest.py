@@ -82,7 +82,10 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     )
 
 
-def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+def pytest_collection_modifyitems(
+    config: pytest.Config,
+    items: list[pytest.Item],
+) -> None:
     """Long tests run with --long, or when asked for by name."""
     if config.getoption("--long") or any("::" in argument for argument in config.args):
         return

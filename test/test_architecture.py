@@ -204,7 +204,11 @@ def imports(path: Path) -> set[str]:
     return found
 
 
-@pytest.mark.parametrize("path", modules(), ids=lambda path: str(path.relative_to(PACKAGE)))
+@pytest.mark.parametrize(
+    "path",
+    modules(),
+    ids=lambda path: str(path.relative_to(PACKAGE)),
+)
 def test_no_arrow_points_up(path: Path) -> None:
     room = room_of(path)
     assert room in ROOMS.keys() | BASE, f"{room} has no place in the house: give it one in ROOMS"

@@ -251,7 +251,15 @@ def test_forms() -> None:
 def test_one_setting_cannot_end_the_command(
     capsys: pytest.CaptureFixture[str], setting: str
 ) -> None:
-    refused(capsys, "replay", str(BAG), "--probe", "payload", "--set", setting)
+    refused(
+        capsys,
+        "replay",
+        str(BAG),
+        "--probe",
+        "payload",
+        "--set",
+        setting,
+    )
 
 
 def test_settings_as_the_node_takes_them() -> None:
@@ -343,12 +351,23 @@ def test_a_report_replaces_nothing_but_a_page(
     there = tmp_path / "there.yaml"
     page = document("proprio", ["older"])
     old_page = page.replace(WRITTEN_BY, "")
-    texts = {"empty": "", "robot file": "name: mine\n", "page": page, "old page": old_page}
+    texts = {
+        "empty": "",
+        "robot file": "name: mine\n",
+        "page": page,
+        "old page": old_page,
+    }
     there.write_text(texts[named])
     probe = (
         ["--probe", "payload"] if command == "replay" else ["--output", str(tmp_path / "made.yaml")]
     )
-    words = [command, str(BAG), *probe, "--report", str(there)]
+    words = [
+        command,
+        str(BAG),
+        *probe,
+        "--report",
+        str(there),
+    ]
     if named == "robot file":
         assert "is no page of proprio" in refused(capfd, *words)
         assert there.read_text() == texts[named]
@@ -361,7 +380,10 @@ def test_a_report_replaces_nothing_but_a_page(
     assert "older" not in there.read_text()
 
 
-def test_a_report_is_not_the_output(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_a_report_is_not_the_output(
+    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path,
+) -> None:
     (tmp_path / "link").symlink_to(tmp_path)
     words = [
         "--output",
@@ -425,7 +447,10 @@ def text_recording(folder: Path, setting: str, table: str) -> Path:
         {"start_pose_rad": {"joint3": 1e300}},
     ],
 )
-def test_wrong_types_in_a_setting(tmp_path: Path, change: dict[str, Any]) -> None:
+def test_wrong_types_in_a_setting(
+    tmp_path: Path,
+    change: dict[str, Any],
+) -> None:
     folder = text_recording(
         tmp_path, json.dumps(SETTING | change), "time_s,joint3_relative_rad\n" + ROWS
     )
@@ -513,7 +538,10 @@ def test_a_compressed_bag_that_stands_for_gigabytes(
         read(folder)
 
 
-def test_a_topic_cannot_speak(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_topic_cannot_speak(
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     rows = [RawMessage("/joint_states", *message) for message in bytes_of(BAG, "/joint_states")] + [
         RawMessage("/say\naccepted  1 g\x1b[2J", *message)
         for message in bytes_of(BAG, "/current_command")
@@ -581,13 +609,30 @@ def test_a_beginning_that_no_recording_has(
     assert "--empty-first" in refused(capsys, *words, "--empty-first", seconds)
 
 
-def test_a_robot_of_which_nothing_moves(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_robot_of_which_nothing_moves(
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     (tmp_path / "box.urdf").write_text('<robot name="box"><link name="base"/></robot>')
     output = str(tmp_path / "new.yaml")
-    line = refused(capsys, "robot", "new", str(tmp_path / "box.urdf"), "--output", output)
+    line = refused(
+        capsys,
+        "robot",
+        "new",
+        str(tmp_path / "box.urdf"),
+        "--output",
+        output,
+    )
     assert "no joint of it moves" in line
     os.mkfifo(tmp_path / "arm.urdf")
-    line = refused(capsys, "robot", "new", str(tmp_path / "arm.urdf"), "--output", output)
+    line = refused(
+        capsys,
+        "robot",
+        "new",
+        str(tmp_path / "arm.urdf"),
+        "--output",
+        output,
+    )
     assert "is no file" in line
 
 

@@ -57,7 +57,10 @@ def test_no_number_for_what_cannot_be_determined(capsys: pytest.CaptureFixture[s
     assert result["estimates"][0]["value"] is None and result["estimates"][0]["reason"]
 
 
-def test_text_and_report(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_text_and_report(
+    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path,
+) -> None:
     page = tmp_path / "page.html"
     assert main(["replay", BAG, "--probe", "payload", "--report", str(page)]) == 3
     printed = capsys.readouterr()
@@ -86,7 +89,9 @@ def test_text_and_report(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> 
     ],
 )
 def test_mistakes_get_one_line(
-    capsys: pytest.CaptureFixture[str], arguments: list[str], words: str
+    capsys: pytest.CaptureFixture[str],
+    arguments: list[str],
+    words: str,
 ) -> None:
     assert main(["replay", *arguments, "--probe", "payload"]) == 2
     lines = capsys.readouterr().err.strip().splitlines()
@@ -99,7 +104,10 @@ def test_mistakes_get_one_line(
 def test_an_option_that_takes_one_value_is_given_once(
     flag: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    value = {"--effort-unit": "A", "--solver": "lm", "--probe": "payload"}.get(flag, "one")
+    value = {"--effort-unit": "A", "--solver": "lm", "--probe": "payload"}.get(
+        flag,
+        "one",
+    )
     with pytest.raises(SystemExit) as refused:
         main(["replay", BAG, "--probe", "payload", flag, value, flag, value])
     told = capsys.readouterr().err.splitlines()

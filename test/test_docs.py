@@ -56,7 +56,11 @@ def yaml(name: str) -> Any:
 def slug(heading: str) -> str:
     """What a heading is linked by."""
     letters = re.sub(r"[^\w\s-]", "", heading)
-    return re.sub(r"[\s-]+", "-", letters.strip().lower())
+    return re.sub(
+        r"[\s-]+",
+        "-",
+        letters.strip().lower(),
+    )
 
 
 def anchors(path: Path) -> set[str]:
@@ -111,7 +115,12 @@ def test_generated_pages_are_current(without_ros: bool) -> None:
     if not without_ros:
         pytest.importorskip("rclpy")
     command = [sys.executable, "-c", CURRENT.format(without_ros=without_ros)]
-    done = subprocess.run(command, cwd=REPOSITORY, capture_output=True, text=True)
+    done = subprocess.run(
+        command,
+        cwd=REPOSITORY,
+        capture_output=True,
+        text=True,
+    )
     assert done.returncode == 0, f"run python docs/generate.py: {done.stderr[-2000:]}"
 
 
@@ -219,7 +228,11 @@ def folders_of_the_package() -> set[str]:
 
 
 def test_the_design_page_has_the_rooms() -> None:
-    tree = re.search(r"^proprio_ros/ .*?^test/", page("design"), re.DOTALL | re.MULTILINE)
+    tree = re.search(
+        r"^proprio_ros/ .*?^test/",
+        page("design"),
+        re.DOTALL | re.MULTILINE,
+    )
     assert tree is not None
     named = set(re.findall(r"(?<=\s)(\w+)/(?=\s)", tree[0]))
     inside_rooms = {"regression", "payload", "container", "softness"}
@@ -237,7 +250,11 @@ def test_the_design_page_has_the_classes_of_probes() -> None:
     base = ast.parse(text_of(PACKAGE / "probes" / "base.py"))
     kinds = {node.name for node in base.body if is_kind_of_probe(node)}
     head = r"^\| class \| a probe that \|\n"
-    (table,) = re.findall(rf"{head}(.*?)\n\n", page("design"), re.DOTALL | re.MULTILINE)
+    (table,) = re.findall(
+        rf"{head}(.*?)\n\n",
+        page("design"),
+        re.DOTALL | re.MULTILINE,
+    )
     assert set(re.findall(r"`([A-Z]\w+)`", table)) == kinds - {"Probe"}
 
 

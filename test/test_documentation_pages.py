@@ -65,7 +65,13 @@ def measured(look: Look, pages: list[Path], width: int, *more: str) -> dict[str,
     for at in range(0, len(pages), TOGETHER):
         some = pages[at : at + TOGETHER]
         names = [page.name for page in some]
-        found |= dict(zip(names, look.framed(some, MEASURE, width, *more), strict=True))
+        found |= dict(
+            zip(
+                names,
+                look.framed(some, MEASURE, width, *more),
+                strict=True,
+            )
+        )
     return found
 
 
@@ -74,7 +80,11 @@ def test_every_page_is_built(pages: list[Path]) -> None:
 
 
 @pytest.mark.parametrize("width", [1400, 400])
-def test_no_page_is_wider_than_the_window(pages: list[Path], look: Look, width: int) -> None:
+def test_no_page_is_wider_than_the_window(
+    pages: list[Path],
+    look: Look,
+    width: int,
+) -> None:
     for name, seen in measured(look, pages, width).items():
         assert seen["width"] == width, name
         assert seen["scroll"] <= width, name

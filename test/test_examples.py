@@ -37,7 +37,10 @@ def test_there_is_one_per_probe() -> None:
 def test_example(probe: str) -> None:
     path = EXAMPLES / f"{probe}.py"
     cells = path.read_text().count("\n# %% ")
-    variables: dict[str, Any] = runpy.run_path(str(path), run_name="__main__")
+    variables: dict[str, Any] = runpy.run_path(
+        str(path),
+        run_name="__main__",
+    )
     name, value, truth, within = TRUTH[probe]
     result = variables[name]
     assert cells >= 3 and result.accepted

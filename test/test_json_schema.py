@@ -74,21 +74,21 @@ def outputs(calibration: str) -> dict[str, tuple[list[str], int]]:
     ball = bag("quantised_s00_fixed_heavy_ball_50g_joint3")
     return {
         "payload": (["replay", ball, "--probe", "payload"], 3),
-        "payload, paper": (["replay", ball, "--probe", "payload", "--profile", "paper"], 3),
+        "payload, paper": (["replay", ball, "--probe", "payload", "--profile", "paper",], 3,),
         "calibrated payload": (
             ["replay", bag("realistic_s00_fixed_heavy_ball_50g_joint3"), "--probe", "payload", "--calibration", calibration,
              "--baseline", bag("realistic_s00_empty_00_joint3")], 0,
         ),
-        "stuck": (["replay", bag("friction_s00_fixed_random_a_joint3"), "--probe", "payload"], 3),
+        "stuck": (["replay", bag("friction_s00_fixed_random_a_joint3"), "--probe", "payload",], 3,),
         "container": (
             ["replay", bag("realistic_s00_container_sphere_random_joint4_030mA"), "--probe", "container", "--calibration",
              calibration, "--baseline", bag("realistic_s00_container_no_sphere_joint4_030mA")], 0,
         ),
         "softness": (
-            ["replay", bag("realistic_s00_squeeze_light"), "--probe", "softness", "--calibration", calibration], 0,
+            ["replay", bag("realistic_s00_squeeze_light"), "--probe", "softness", "--calibration", calibration,], 0,
         ),
-        "plan": (["plan", "--mass", "0.05", "--count", "2", "--calibration", calibration], 0),
-        "check": (["check", ball, bag("friction_s00_fixed_random_a_joint3"), bag("realistic_s00_squeeze_light")], 0),
+        "plan": (["plan", "--mass", "0.05", "--count", "2", "--calibration", calibration,], 0,),
+        "check": (["check", ball, bag("friction_s00_fixed_random_a_joint3"), bag("realistic_s00_squeeze_light"),], 0,),
         "robot": (
             ["robot", "new", str(ROOT / "urdf" / "open_manipulator_x.urdf"), "--force", "--output",
              str(Path(tempfile.gettempdir()) / "proprio_new_robot.yaml")], 0,
@@ -97,14 +97,17 @@ def outputs(calibration: str) -> dict[str, tuple[list[str], int]]:
         "unusable": (["check", bag("friction_s00_fixed_random_a_joint3")], 3),
         "no bag": (["replay", "nowhere", "--probe", "payload"], 2),
         "no bag to check": (["check", "nowhere"], 2),
-        "report nowhere": (["replay", ball, "--probe", "payload", "--report", "/nowhere/page.html"], 2),
+        "report nowhere": (["replay", ball, "--probe", "payload", "--report", "/nowhere/page.html",], 2,),
     }  # fmt: skip
 
 
 @pytest.mark.long
 @pytest.mark.parametrize("name", sorted(outputs("")))
 def test_outputs(
-    name: str, validator: Any, calibration: str, capsys: pytest.CaptureFixture[str]
+    name: str,
+    validator: Any,
+    calibration: str,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     arguments, code = outputs(calibration)[name]
     if str(REAL) in arguments[1] and not REAL.exists():
@@ -132,7 +135,10 @@ def test_outputs(
     "bags", ["realistic_s00_empty_0[0-2]_*", "friction_s00_fixed_random_a_joint3"]
 )
 def test_calibrations(
-    bags: str, validator: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    bags: str,
+    validator: Any,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     paths = [bag(folder.name) for folder in sorted((ROOT / "bags").glob(bags))]
     output = tmp_path / "arm.yaml"
@@ -164,7 +170,9 @@ def test_calibrations(
     [["replay", "--json"], ["replay", "bag", "--probe", "weight", "--json"], ["weigh", "--json"]],
 )
 def test_a_command_line_that_does_not_parse(
-    arguments: list[str], validator: Any, capsys: pytest.CaptureFixture[str]
+    arguments: list[str],
+    validator: Any,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     with pytest.raises(SystemExit) as stopped:
         main(arguments)
@@ -183,7 +191,10 @@ def test_the_sentence_stays_on_stderr(capsys: pytest.CaptureFixture[str]) -> Non
     assert said.err == f"proprio: {json.loads(said.out)['error']}\n"
 
 
-def test_the_schema_refuses(validator: Any, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_schema_refuses(
+    validator: Any,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     """A schema that lets everything pass would pass the tests above."""
     arguments, code = outputs("")["stuck"]
     good = printed(capsys, [*arguments, "--json"], code)

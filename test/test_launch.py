@@ -106,7 +106,10 @@ def test_a_list_of_words_stays_one_that_can_be_set(text: str, tmp_path: Path) ->
     line = "report: true" if text == "nothing at all" else f"settings: {text}"
     file.write_text(f"/**/identifier:\n  ros__parameters:\n    {line}\n")
     context = rclpy.Context()
-    rclpy.init(args=["--ros-args", "--params-file", str(file)], context=context)
+    rclpy.init(
+        args=["--ros-args", "--params-file", str(file)],
+        context=context,
+    )
     try:
         node = kind(context=context)
         try:
@@ -154,7 +157,11 @@ def offered(node: Any) -> tuple[int, ...]:
 
 @pytest.mark.parametrize("path", LAUNCH, ids=lambda path: path.name)
 def test_a_launch_file_is_python(path: Path, tmp_path: Path) -> None:
-    py_compile.compile(str(path), cfile=str(tmp_path / "compiled"), doraise=True)
+    py_compile.compile(
+        str(path),
+        cfile=str(tmp_path / "compiled"),
+        doraise=True,
+    )
 
 
 def test_the_launch_files_are_there() -> None:

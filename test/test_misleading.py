@@ -141,11 +141,22 @@ def test_what_a_calibration_knows_together_is_looked_at_together(bags: Path, rob
     assert learnt is not None
     known = robot.with_calibration(learnt)
     runs = [prepare_run(known, run) for run in bag_runs(bag_in(bags / BALL), Request(known))]
-    found = solve_load(known, runs, PayloadFacts(), _options(), Role.FREE)
+    found = solve_load(
+        known,
+        runs,
+        PayloadFacts(),
+        _options(),
+        Role.FREE,
+    )
     name = "payload_mass"
     assert Assessment(found, name).far_from_priors() == []
     rows = {
-        name: found.problem.index[key] for key, name in zip(learnt.keys, learnt.names, strict=True)
+        name: found.problem.index[key]
+        for key, name in zip(
+            learnt.keys,
+            learnt.names,
+            strict=True,
+        )
     }
     values = found.problem.base.copy()
     values[found.problem.index[name]] = found.values[found.problem.index[name]]
@@ -215,7 +226,14 @@ def real_robot(folder: Path, name: str, noise: float) -> Path:
     constant = {"xl330": 0.35, "sts3215": 1.1}[name]
     (folder / f"{name}.urdf").write_text(URDF.format(name=name))
     path = folder / f"{name}.yaml"
-    path.write_text(ROBOT.format(name=name, constant=constant, spread=0.1 * constant, noise=noise))
+    path.write_text(
+        ROBOT.format(
+            name=name,
+            constant=constant,
+            spread=0.1 * constant,
+            noise=noise,
+        )
+    )
     return path
 
 
@@ -226,7 +244,11 @@ def real_answer(
     noise: float,
 ) -> Estimate | None:
     """What is said about a pendulum, or None where nothing can be read."""
-    path = real_robot(folder, bag.name.partition("_")[0], noise)
+    path = real_robot(
+        folder,
+        bag.name.partition("_")[0],
+        noise,
+    )
     try:
         return replay(
             bag,
@@ -344,7 +366,11 @@ def test_a_run_of_the_calibration_is_weighed_with_its_noise(
 # --- commands stamped by another clock ---------------------------------------------------------------------------------
 
 
-def stamped_off(folder: Path, robot: Robot, off_s: float) -> Sequence[Run]:
+def stamped_off(
+    folder: Path,
+    robot: Robot,
+    off_s: float,
+) -> Sequence[Run]:
     """The runs of a bag whose commands are stamped so much later than the joint states are."""
     recording = bag_recording(bag_in(folder), Request(robot))
     assert recording.inputs is not None
@@ -352,7 +378,10 @@ def stamped_off(folder: Path, robot: Robot, off_s: float) -> Sequence[Run]:
         recording.inputs,
         times_ns=recording.inputs.times_ns + round(1e9 * off_s),
     )
-    return cut_runs(replace(recording, inputs=inputs), joints=list(robot.drive_trains))
+    return cut_runs(
+        replace(recording, inputs=inputs),
+        joints=list(robot.drive_trains),
+    )
 
 
 @pytest.mark.parametrize(("off_s", "accepted"), [(-0.06, True), (-0.1, False)])
@@ -375,7 +404,11 @@ def test_commands_stamped_too_early_are_no_calibration(
     assert estimate.calibration is not None
     known = robot.with_calibration(estimate.calibration)
     facts = PayloadFacts(shape=PayloadShape.of("sphere", 0.02))
-    alike = weigh(known, stamped_off(bags / BALL, known, off_s), facts)
+    alike = weigh(
+        known,
+        stamped_off(bags / BALL, known, off_s),
+        facts,
+    )
     low, high = alike.values[0].ci95
     assert alike.verdict is Verdict.ACCEPTED and low <= 0.02 <= high
     assert weigh(known, stamped_off(bags / BALL, known, 0.0), facts).verdict is Verdict.REJECTED
@@ -404,7 +437,11 @@ def test_commands_stamped_by_another_clock_are_refused_without_a_calibration(
 ) -> None:
     """From stamps 100 ms early these 23 g were accepted as 33 to 94 g."""
     runs = stamped_off(bags / "realistic_s00_fixed_heavy_cube_23g_joint3", robot, off_s)
-    estimate = weigh(robot, runs, PayloadFacts(shape=PayloadShape.of("cube", 0.03)))
+    estimate = weigh(
+        robot,
+        runs,
+        PayloadFacts(shape=PayloadShape.of("cube", 0.03)),
+    )
     assert ("stamps_off" in codes(estimate)) is off
     if off:
         assert estimate.verdict is Verdict.REJECTED and "/current_command" in estimate.reasons[0]
@@ -465,7 +502,12 @@ def test_one_push_in_four_that_came_late_is_left_out_and_said(
 
 def test_a_block_whose_size_is_guessed_says_so(bags: Path) -> None:
     guessed = answer(bags, "softness", SQUEEZE, {})
-    stated = answer(bags, "softness", SQUEEZE, {"block.size": [0.03, 0.03, 0.03]})
+    stated = answer(
+        bags,
+        "softness",
+        SQUEEZE,
+        {"block.size": [0.03, 0.03, 0.03]},
+    )
     assert "guessed_facts" in codes(guessed) and "guessed_facts" not in codes(stated)
     sentence = next(
         reason for reason in guessed.reasons if getattr(reason, "code", "") == "guessed_facts"
@@ -490,13 +532,23 @@ def test_a_payload_whose_place_is_guessed_says_so(bags: Path, robot: Robot) -> N
     runs = bag_runs(bag_in(bags / BALL), Request(known))
     shape = PayloadShape.of("sphere", 0.02)
     stated = weigh(known, runs, PayloadFacts(shape=shape))
-    guessed = weigh(known, runs, PayloadFacts(shape=shape, com_guessed=True))
+    guessed = weigh(
+        known,
+        runs,
+        PayloadFacts(shape=shape, com_guessed=True),
+    )
     assert "guessed_facts" in codes(guessed) and "guessed_facts" not in codes(stated)
     assert any("payload.com [0, 0, 0] mm" in assumption for assumption in guessed.assumptions)
     (one,), (other,) = guessed.values, stated.values
     assert one.value == other.value and guessed.verdict is Verdict.ACCEPTED
     moved = [
-        weigh(known, runs, PayloadFacts(com=5e-3 * axis, shape=shape)).values[0].value
+        weigh(
+            known,
+            runs,
+            PayloadFacts(com=5e-3 * axis, shape=shape),
+        )
+        .values[0]
+        .value
         for axis in np.eye(3)
     ]
     off = np.linalg.norm(np.array(moved) - other.value)
@@ -518,7 +570,10 @@ def test_a_payload_whose_place_is_guessed_says_so(bags: Path, robot: Robot) -> N
         ({"payload.com_std": [0.01] * 3}, False),
     ],
 )
-def test_a_place_is_guessed_where_nobody_stated_it(settings: dict[str, Any], guessed: bool) -> None:
+def test_a_place_is_guessed_where_nobody_stated_it(
+    settings: dict[str, Any],
+    guessed: bool,
+) -> None:
     assert (
         payload_facts(
             Settings(settings), probe_file("payload", ("payload",))["payload"]
@@ -598,7 +653,12 @@ def test_a_value_that_holds_with_the_files_own_numbers_only_is_too_wide(bags: Pa
         "quantised_s00_fixed_heavy_ball_50g_joint3",
         "realistic_s00_fixed_light_cube_10g_joint2",
     ):
-        estimate = answer(bags, "payload", name, {"payload.shape": "cube", "payload.size": 0.02})
+        estimate = answer(
+            bags,
+            "payload",
+            name,
+            {"payload.shape": "cube", "payload.size": 0.02},
+        )
         assert estimate.verdict is Verdict.TOO_WIDE and codes(estimate)[0] == "too_wide"
         assert estimate.interval_first
 
@@ -658,10 +718,21 @@ def test_no_page_shows_digits_that_mean_nothing(bags: Path, tmp_path: Path) -> N
         (0.001, "the current of joint3 is about 0.001 times what fits: it has another unit"),
     ],
 )
-def test_a_sign_and_a_unit_are_named(bags: Path, robot: Robot, factor: float, words: str) -> None:
+def test_a_sign_and_a_unit_are_named(
+    bags: Path,
+    robot: Robot,
+    factor: float,
+    words: str,
+) -> None:
     """Of the current; 0: of the angle."""
-    (run,) = bag_runs(bag_in(bags / "realistic_s00_fixed_heavy_cube_23g_joint3_x0"), Request(robot))
-    factors = {"input_current_A": run.input_current_A * (factor or 1.0), "reported_effort": None}
+    (run,) = bag_runs(
+        bag_in(bags / "realistic_s00_fixed_heavy_cube_23g_joint3_x0"),
+        Request(robot),
+    )
+    factors = {
+        "input_current_A": run.input_current_A * (factor or 1.0),
+        "reported_effort": None,
+    }
     if not factor:
         factors |= {"position": -run.position, "before_position": -run.before_position}
     answer = weigh(robot, [replace(run, **factors)])
@@ -673,7 +744,10 @@ def test_a_torque_constant_that_is_twice_off_is_refused(
     bags: Path, robot: Robot, factor: float
 ) -> None:
     """23 g read 285 g +- 44 %, accepted: without a calibration nothing but the file says what the torque constant is."""
-    (run,) = bag_runs(bag_in(bags / "realistic_s00_fixed_heavy_cube_23g_joint3"), Request(robot))
+    (run,) = bag_runs(
+        bag_in(bags / "realistic_s00_fixed_heavy_cube_23g_joint3"),
+        Request(robot),
+    )
     bent = replace(run, input_current_A=factor * run.input_current_A)
     answer = weigh(robot, [bent])
     assert answer.verdict is Verdict.NOT_IDENTIFIABLE and answer.values[0].value is None
@@ -686,9 +760,15 @@ def test_a_torque_constant_that_is_twice_off_is_refused(
 def test_a_current_twice_that_of_the_calibration_is_named(bags: Path, robot: Robot) -> None:
     """It explained the recording five times worse than the encoder, which only made the interval wider: 338 g for 50 g."""
     known = robot.with_calibration(calibrate(robot, empty_runs(bags, robot)).calibration)
-    (run,) = bag_runs(bag_in(bags / "realistic_s00_fixed_heavy_ball_50g_joint3"), Request(known))
+    (run,) = bag_runs(
+        bag_in(bags / "realistic_s00_fixed_heavy_ball_50g_joint3"),
+        Request(known),
+    )
     assert weigh(known, [run]).verdict is not Verdict.REJECTED
-    answer = weigh(known, [replace(run, input_current_A=2.0 * run.input_current_A)])
+    answer = weigh(
+        known,
+        [replace(run, input_current_A=2.0 * run.input_current_A)],
+    )
     assert answer.verdict is Verdict.REJECTED
     assert answer.reasons[0].startswith("the current of joint3 is about 2 times what fits")
 
@@ -699,7 +779,10 @@ def test_a_base_that_is_tilted_is_worth_what_the_answer_says(
 ) -> None:
     """50 g read 45 g, 2.5 standard deviations off and accepted, on a base that was tilted by one degree after the calibration."""
     known = robot.with_calibration(calibrate(robot, empty_runs(bags, robot)).calibration)
-    (run,) = bag_runs(bag_in(bags / "realistic_s00_fixed_heavy_ball_50g_joint3"), Request(known))
+    (run,) = bag_runs(
+        bag_in(bags / "realistic_s00_fixed_heavy_ball_50g_joint3"),
+        Request(known),
+    )
     answer = weigh(known, [run])
     worth = next(
         re.search(r"1 degree of tilt .* by up to ([\d.]+) g", each)
@@ -732,7 +815,11 @@ def test_gravity_stated_elsewhere_than_the_calibration_was_made_is_refused(
     # an empty hand recorded as the arm stands now does tell
     drifted = replay(
         bag,
-        Options(calibration=calibration, settings=rolled, baseline=empty[:1]),
+        Options(
+            calibration=calibration,
+            settings=rolled,
+            baseline=empty[:1],
+        ),
     )
     assert drifted.verdict is Verdict.REJECTED and "drift" in codes(drifted)
     level = {"robot.gravity": [0, 0, -9.81], "payload.com": [0, 0, 0]}
@@ -745,7 +832,10 @@ def test_gravity_stated_elsewhere_than_the_calibration_was_made_is_refused(
     assert worth is not None
     moved = replay(
         bag,
-        Options(calibration=calibration, settings={"payload.com": [0.01, 0, 0]}),
+        Options(
+            calibration=calibration,
+            settings={"payload.com": [0.01, 0, 0]},
+        ),
     )
     change = 1e3 * abs(moved.values[0].value - answer.values[0].value)  # type: ignore[operator]
     assert 0.5 * change < float(worth[1]) < 5.0 * change

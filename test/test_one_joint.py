@@ -100,7 +100,15 @@ def swung(
         t = k * step_s
         goal = float(np.sum(0.6 * np.sin(speeds * t + phases) - 0.6 * np.sin(phases)))
         seen = angle + random.normal(0.0, 2e-4)
-        commands.append(float(np.clip(gain * (goal - seen) - damping * speed, -8.0, 8.0)))
+        commands.append(
+            float(
+                np.clip(
+                    gain * (goal - seen) - damping * speed,
+                    -8.0,
+                    8.0,
+                )
+            )
+        )
         torque = commands[-1 - delay]
         if k % every == 0:
             times.append(round(1e9 * t))
@@ -143,7 +151,10 @@ def test_a_joint_under_a_controller_is_a_motion_and_a_probe_is_none(
     recording, _ = swung(0.4)
     write_recording(tmp_path / "bag", recording)
     robot = load_robot(str(robot_file(tmp_path)))
-    read = bag_recording(tmp_path / "bag", Request(robot, Options(effort_unit="N.m")))
+    read = bag_recording(
+        tmp_path / "bag",
+        Request(robot, Options(effort_unit="N.m")),
+    )
     with pytest.raises(UnderController, match="under a controller"):
         cut_runs(read, joints=["pendulum"])
     motion = motion_of(read, joints=["pendulum"])
@@ -172,7 +183,11 @@ def test_other_probes_do_not_take_it(tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match=r"one under a controller.*one at a time"):
         replay(
             tmp_path / "bag",
-            Options(probe="container", robot=str(robot_file(tmp_path)), effort_unit="N.m"),
+            Options(
+                probe="container",
+                robot=str(robot_file(tmp_path)),
+                effort_unit="N.m",
+            ),
         )
 
 
@@ -226,7 +241,10 @@ def test_no_mass_rests_on_what_a_file_says_of_its_torque_alone(
 
 def test_beside_an_empty_motion_a_known_torque_gives_the_mass(tmp_path: Path) -> None:
     for name, payload, seed in (("loaded", 0.3, 1), ("empty", 0.0, 2)):
-        write_recording(tmp_path / name, swung(payload, seed=seed, rod_kg=0.4)[0])
+        write_recording(
+            tmp_path / name,
+            swung(payload, seed=seed, rod_kg=0.4)[0],
+        )
     robot = robot_file(tmp_path, rod_kg=0.4, constant="{value: 1.0, std: 0.01}")
     estimate = replayed(tmp_path / "loaded", robot, baseline=tmp_path / "empty")
     mass = estimate.values[0]
@@ -270,7 +288,10 @@ def test_registers_of_16_bits_that_were_read_as_unsigned_are_mended(tmp_path: Pa
     assert record.effort is not None
     counts = np.round(100.0 * record.effort)
     unsigned = np.where(counts < 0.0, counts + 65536.0, counts)
-    write_recording(tmp_path / "bag", replace(recording, joints=replace(record, effort=unsigned)))
+    write_recording(
+        tmp_path / "bag",
+        replace(recording, joints=replace(record, effort=unsigned)),
+    )
     read = read_recording(
         tmp_path / "bag", effort_unit="raw", nominal_torque_constants={}, joint_order=[]
     )
@@ -278,7 +299,10 @@ def test_registers_of_16_bits_that_were_read_as_unsigned_are_mended(tmp_path: Pa
     assert any("16-bit register" in note for note in read.notes)
     # large efforts that are no register stay what they are
     large = np.where(counts < 0.0, 65530.5, counts)
-    write_recording(tmp_path / "large", replace(recording, joints=replace(record, effort=large)))
+    write_recording(
+        tmp_path / "large",
+        replace(recording, joints=replace(record, effort=large)),
+    )
     read = read_recording(
         tmp_path / "large", effort_unit="raw", nominal_torque_constants={}, joint_order=[]
     )
@@ -289,7 +313,12 @@ def test_an_effort_that_repeats_the_command_is_named() -> None:
     recording, _ = swung(0.4, seconds=5.0)
     record = recording.joints
     assert record.effort is not None
-    command = InputRecord(record.times_ns, ("pendulum",), record.effort, "/current_command")
+    command = InputRecord(
+        record.times_ns,
+        ("pendulum",),
+        record.effort,
+        "/current_command",
+    )
     same = replace(
         recording,
         joints=replace(record, current=record.effort),
@@ -326,7 +355,11 @@ def test_an_effort_that_only_holds_gravity_is_named(tmp_path: Path, speed: float
     random = np.random.default_rng(3)
     times_s = np.arange(0.0, 15.0, 0.005)
     angle = 0.8 * np.sin(speed * times_s) + 0.3 * np.sin(1.7 * speed * times_s)
-    effort = 0.3 * GRAVITY * np.sin(angle) + random.normal(0.0, 0.01, len(times_s))
+    effort = 0.3 * GRAVITY * np.sin(angle) + random.normal(
+        0.0,
+        0.01,
+        len(times_s),
+    )
     record = JointRecord(
         np.round(1e9 * times_s), ("pendulum",), angle[:, None], effort=effort[:, None]
     )
@@ -398,7 +431,11 @@ def test_no_real_servo_is_weighed_from_what_is_no_torque(tmp_path: Path, name: s
         ("raw", well_known),
         ("A", well_known),
     ):
-        estimate = replayed(REAL / name, robot_file(tmp_path, constant=constant, **servo), unit)  # type: ignore[arg-type]
+        estimate = replayed(
+            REAL / name,
+            robot_file(tmp_path, constant=constant, **servo),
+            unit,
+        )  # type: ignore[arg-type]
         assert estimate.values[0].value is None and codes(estimate)[0] in SERVOS[name], (
             unit,
             estimate.reasons,
@@ -410,4 +447,8 @@ def test_a_real_servo_that_pauses_is_too_short(tmp_path: Path, name: str) -> Non
     if not (REAL / name).exists():
         pytest.skip("needs the real recordings")
     with pytest.raises(RecordingError, match="without a pause"):
-        replayed(REAL / name, robot_file(tmp_path, length_m=0.1, rod_kg=0.01), "raw")
+        replayed(
+            REAL / name,
+            robot_file(tmp_path, length_m=0.1, rod_kg=0.01),
+            "raw",
+        )

@@ -84,7 +84,13 @@ def test_colcon_finds_it_where_it_is_named(tmp_path: Path) -> None:
     clean["PATH"] = os.pathsep.join(
         part for part in clean["PATH"].split(os.pathsep) if part != python
     )
-    command = [colcon, "build", "--base-paths", str(source), str(source / "proprio_msgs")]
+    command = [
+        colcon,
+        "build",
+        "--base-paths",
+        str(source),
+        str(source / "proprio_msgs"),
+    ]
     done = subprocess.run(
         command,
         cwd=tmp_path,

@@ -59,7 +59,9 @@ def test_assignments_of_several_values(folder: str, most: int) -> None:
     assert measured(folder).pairs <= most
 
 
-@pytest.mark.parametrize(("folder", "most"), [("proprio_ros", PACKAGE_WALRUSES), ("test", TEST_WALRUSES)])
+@pytest.mark.parametrize(
+    ("folder", "most"), [("proprio_ros", PACKAGE_WALRUSES), ("test", TEST_WALRUSES)]
+)
 def test_walruses(folder: str, most: int) -> None:
     assert measured(folder).walruses <= most
 
@@ -73,7 +75,9 @@ def test_no_function_is_harder_to_read(kind: str) -> None:
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_exceptions_shrink(kind: str) -> None:
     gone = excepted(kind) - over(kind)
-    assert not gone, f"no longer over the limit of {kind}, take them from {EXCEPTIONS.name}: {sorted(gone)}"
+    assert not gone, (
+        f"no longer over the limit of {kind}, take them from {EXCEPTIONS.name}: {sorted(gone)}"
+    )
 
 
 def test_the_measure_counts_what_folding_cannot_change(tmp_path: Path) -> None:

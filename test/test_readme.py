@@ -66,8 +66,18 @@ def test_the_recordings_of_the_repository_give_what_the_readme_says(
     found = re.findall(r"payload_mass: (\S+) g .* (\S+) \.\. (\S+) g", capsys.readouterr().out)
     at = replay.index("--calibration")
     assert main([*replay[1:at], *replay[at + 2 :]]) == 3
-    (wide,) = re.findall(r"payload_mass: (\d+ \.\. \d+) g", capsys.readouterr().out)
-    (mass, low, high), stated = found[0], re.sub(r"\s+", " ", README.read_text())
+    (wide,) = re.findall(
+        r"payload_mass: (\d+ \.\. \d+) g",
+        capsys.readouterr().out,
+    )
+    (mass, low, high), stated = (
+        found[0],
+        re.sub(
+            r"\s+",
+            " ",
+            README.read_text(),
+        ),
+    )
     assert (
         f"says {mass} g, {low} to {high} g; without `--calibration` it says {wide.replace('..', 'to')} g"
         in stated
@@ -80,7 +90,15 @@ def test_another_arm_is_weighed_by_the_commands_of_the_readme(
     monkeypatch.chdir(tmp_path)
     (tmp_path / "my_arm.urdf").write_text(URDF)
     for seed, (name, kg) in enumerate(BAGS.items()):
-        record_arm(tmp_path / name, tmp_path / "my_arm.urdf", TRUE, "hand", kg, seed, seconds=15.0)
+        record_arm(
+            tmp_path / name,
+            tmp_path / "my_arm.urdf",
+            TRUE,
+            "hand",
+            kg,
+            seed,
+            seconds=15.0,
+        )
     ran = commands("**Any other arm")
     assert [words[:2] for words in ran] == [
         ["proprio", word] for word in ["robot", "check", "replay", "calibrate", "replay"]
@@ -107,7 +125,10 @@ def test_another_arm_is_weighed_by_the_commands_of_the_readme(
     ), said
 
 
-def _mistakes_are_named(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def _mistakes_are_named(
+    folder: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     """On three joints a payload, friction that helps and constant torques explained anything: no cause was named, or another."""
 
     def efforts(factor: float, only: str = "") -> Bend:
@@ -257,7 +278,10 @@ def recorded(
     urdf = write_urdf(folder / "my_arm.urdf", count, seed)
     random = np.random.default_rng(seed)
     names = joints_of(count)
-    drawn = np.round(random.uniform(4.0, 9.0, count), 2)
+    drawn = np.round(
+        random.uniform(4.0, 9.0, count),
+        2,
+    )
     stated = {
         name: value if unit == "A" else 1.0
         for name, value in zip(names, drawn.tolist(), strict=True)
@@ -277,7 +301,10 @@ def recorded(
     return stated
 
 
-def _state(path: Path, constants: Mapping[str, float]) -> None:
+def _state(
+    path: Path,
+    constants: Mapping[str, float],
+) -> None:
     """Fill in what the file marks, and nothing else."""
     lines = path.read_text().splitlines()
     joint = ""
@@ -285,6 +312,10 @@ def _state(path: Path, constants: Mapping[str, float]) -> None:
         if (found := re.match(r"  (\w+):  # revolute", line)) is not None:
             joint = found[1]
         if "STATE THIS" in line and "null" in line:
-            lines[number] = line.replace("null", str(constants[joint]), 1)
+            lines[number] = line.replace(
+                "null",
+                str(constants[joint]),
+                1,
+            )
     assert not any("STATE THIS" in line and ": null" in line for line in lines)
     path.write_text("\n".join(lines) + "\n")

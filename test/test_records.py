@@ -84,7 +84,10 @@ def test_a_column_is_found_by_name_and_an_unknown_name_lists_the_choices() -> No
         ({"current": np.zeros(6)}, "current: expected shape"),
     ],
 )
-def test_joint_record_refuses(changes: dict[str, Any], message: str) -> None:
+def test_joint_record_refuses(
+    changes: dict[str, Any],
+    message: str,
+) -> None:
     with pytest.raises(RecordingError, match=message):
         joint_record(**changes)
 
@@ -104,7 +107,9 @@ def test_an_unknown_velocity_is_nan_and_no_position_is() -> None:
     ],
 )
 def test_input_record_refuses(
-    times_ns: list[int], current: list[list[float]], message: str
+    times_ns: list[int],
+    current: list[list[float]],
+    message: str,
 ) -> None:
     with pytest.raises(RecordingError, match=message):
         InputRecord(
@@ -130,7 +135,10 @@ def test_input_record_refuses(
         ({"duration_s": float("nan")}, "positive"),
     ],
 )
-def test_run_refuses(changes: dict[str, Any], message: str) -> None:
+def test_run_refuses(
+    changes: dict[str, Any],
+    message: str,
+) -> None:
     with pytest.raises(RecordingError, match=message):
         run(**changes)
 

@@ -79,7 +79,10 @@ def recording(
     )
 
 
-def current(at_s: Sequence[float], values_A: Sequence[float]) -> InputRecord:
+def current(
+    at_s: Sequence[float],
+    values_A: Sequence[float],
+) -> InputRecord:
     times_ns = START_NS + np.rint(1e9 * np.array(at_s)).astype(np.int64)
     return InputRecord(
         times_ns,
@@ -96,7 +99,10 @@ def test_a_swing_begins_after_the_servo_let_go_and_ends_where_it_hangs(
     swings: list[tuple[np.ndarray, np.ndarray]],
 ) -> None:
     stamps, position = swings[0]
-    (run,) = cut_runs(recording(stamps, position, 0.1), joints=["pivot"])
+    (run,) = cut_runs(
+        recording(stamps, position, 0.1),
+        joints=["pivot"],
+    )
     assert run.free and not run.input_current_A.any() and not len(run.before_times_s)
     began_s = 1e-9 * (run.onset_ns - START_NS)
     assert 0.1 + RELEASE_S <= began_s < 0.1 + RELEASE_S + 0.02
@@ -148,7 +154,12 @@ def test_a_swing_ends_before_torque_comes_back(swings: list[tuple[np.ndarray, np
     (run,) = cut_runs(
         replace(
             whole,
-            torque_off_ns=((whole.torque_off_ns[0][0], back_ns),),
+            torque_off_ns=(
+                (
+                    whole.torque_off_ns[0][0],
+                    back_ns,
+                ),
+            ),
         ),
         joints=["pivot"],
     )
@@ -166,7 +177,10 @@ def test_a_current_that_catches_the_joint_is_no_probe(
     caught = recording(
         stamps, position, 0.1, current([0.0, 0.05, 0.1, 0.6, 0.75], [0.0, 0.01, 0.0, 0.4, 0.0])
     )
-    (run,) = cut_runs(replace(caught, torque_off_ns=off), joints=["pivot"])
+    (run,) = cut_runs(
+        replace(caught, torque_off_ns=off),
+        joints=["pivot"],
+    )
     assert run.free
     later = recording(
         stamps, position, 0.1, current([0.0, 0.05, 0.1, 0.9, 1.05], [0.0, 0.01, 0.0, 0.4, 0.0])
@@ -184,7 +198,10 @@ def test_what_no_torque_explains_is_refused_with_the_reason() -> None:
     with pytest.raises(RecordingError, match="only 4 joint states come while it is off"):
         cut_runs(recording(stamps, still, 1.905), joints=["pivot"])
     with pytest.raises(RecordingError, match="holds no input current"):
-        cut_runs(recording(stamps, np.sin(stamps), None), joints=["pivot"])
+        cut_runs(
+            recording(stamps, np.sin(stamps), None),
+            joints=["pivot"],
+        )
     both = np.stack(
         [np.sin(stamps), np.cos(stamps)],
         axis=1,
@@ -219,7 +236,10 @@ def test_a_bag_says_when_torque_is_off(
     messages = []
     for stamp_s, position in zip(*swings[0], strict=True):
         time_ns = START_NS + round(1e9 * stamp_s)
-        stamp = time(sec=time_ns // 10**9, nanosec=time_ns % 10**9)
+        stamp = time(
+            sec=time_ns // 10**9,
+            nanosec=time_ns % 10**9,
+        )
         # an effort of a unit that nobody stated beside it
         said = state(
             header(stamp=stamp, frame_id=""),
@@ -239,10 +259,19 @@ def test_a_bag_says_when_torque_is_off(
             )
         )
         messages.append(
-            RawMessage("/torque_enabled", BOOL, time_ns, bytes(types.serialize_cdr(enabled, BOOL)))
+            RawMessage(
+                "/torque_enabled",
+                BOOL,
+                time_ns,
+                bytes(types.serialize_cdr(enabled, BOOL)),
+            )
         )
     write_messages(tmp_path / "bag", messages)
-    read = read_recording(tmp_path / "bag", nominal_torque_constants={}, joint_order=["pivot"])
+    read = read_recording(
+        tmp_path / "bag",
+        nominal_torque_constants={},
+        joint_order=["pivot"],
+    )
     assert read.inputs is None and len(read.torque_off_ns) == 1
     assert 0.095 < 1e-9 * (read.torque_off_ns[0][0] - START_NS) < 0.115
     (tmp_path / "swing.urdf").write_text(URDF)
@@ -279,7 +308,10 @@ def known(
 
 @pytest.mark.long
 def test_two_known_loads_weigh_a_third(robot: Robot, runs: list[Run]) -> None:
-    learnt = calibrate(robot, known(runs[:2], MASSES_KG[:2]))
+    learnt = calibrate(
+        robot,
+        known(runs[:2], MASSES_KG[:2]),
+    )
     assert learnt.verdict is Verdict.ACCEPTED and learnt.calibration is not None
     assert any("torque constant" in note for note in learnt.notes)
     estimate = weigh(
@@ -309,16 +341,21 @@ def test_a_swing_far_lighter_than_those_of_its_calibration_is_asked_whose_it_is(
         as_run(f"swing {n}", *swing)
         for n, swing in enumerate(released(rng, np.array(masses), machine, False))
     ]
-    learnt = calibrate(robot, known(light[:2], masses[:2]))
+    learnt = calibrate(
+        robot,
+        known(light[:2], masses[:2]),
+    )
     assert learnt.calibration is not None
     calibrated = robot.with_calibration(learnt.calibration)
     estimate = weigh(calibrated, light[2:3], facts())
     assert estimate.verdict is Verdict.NOT_IDENTIFIABLE and estimate.values[0].value is None
     assert getattr(estimate.reasons[0], "code", "") == "not_covered"
     assert "lighter than 550 g" in estimate.reasons[0] and "another servo" in estimate.reasons[0]
-    assert weigh(calibrated, light[3:], facts()).values[0].value == pytest.approx(
-        masses[3], rel=0.05
-    )
+    assert weigh(
+        calibrated,
+        light[3:],
+        facts(),
+    ).values[0].value == pytest.approx(masses[3], rel=0.05)
 
 
 def another_machine(**changes: float) -> list[Run]:
@@ -326,7 +363,12 @@ def another_machine(**changes: float) -> list[Run]:
     rng = np.random.default_rng(3)
     machine = {**machine_of(rng), "coulomb": 0.1, "rise": 0.2}
     machine = {name: value * changes.get(name, 1.0) for name, value in machine.items()}
-    swung = released(rng, np.array([0.7, 0.9]), machine, False)
+    swung = released(
+        rng,
+        np.array([0.7, 0.9]),
+        machine,
+        False,
+    )
     return [as_run(f"other {number}", *swing) for number, swing in enumerate(swung)]
 
 
@@ -335,9 +377,14 @@ def another_machine(**changes: float) -> list[Run]:
     "changes", [{"coulomb": 3.0}, {"armature": 0.2}, {"armature": 0.2, "coulomb": 0.3}], ids=str
 )
 def test_another_joint_than_the_one_that_was_calibrated_is_named(
-    robot: Robot, runs: list[Run], changes: dict[str, float]
+    robot: Robot,
+    runs: list[Run],
+    changes: dict[str, float],
 ) -> None:
-    learnt = calibrate(robot, known(runs[:2], MASSES_KG[:2]))
+    learnt = calibrate(
+        robot,
+        known(runs[:2], MASSES_KG[:2]),
+    )
     assert learnt.calibration is not None and len(learnt.calibration.own_terms) == 2
     calibrated = robot.with_calibration(learnt.calibration)
     same = weigh(calibrated, another_machine(), facts())
@@ -351,11 +398,20 @@ def test_another_joint_than_the_one_that_was_calibrated_is_named(
 
 @pytest.mark.long
 def test_an_older_calibration_does_not_say_whose_it_is(robot: Robot, runs: list[Run]) -> None:
-    learnt = calibrate(robot, known(runs[:2], MASSES_KG[:2]))
+    learnt = calibrate(
+        robot,
+        known(runs[:2], MASSES_KG[:2]),
+    )
     assert learnt.calibration is not None
     older = replace(learnt.calibration, own_terms=())
     now, then = (
-        weigh(robot.with_calibration(each), runs[2:], facts()).values[0].value
+        weigh(
+            robot.with_calibration(each),
+            runs[2:],
+            facts(),
+        )
+        .values[0]
+        .value
         for each in (learnt.calibration, older)
     )
     assert now == then is not None
@@ -371,12 +427,19 @@ def test_friction_that_rises_otherwise_at_rest_counts_in_all_but_the_next_swing(
         stated = robot.with_overrides(
             {"joints.pivot.drive_train.stribeck": {"value": 0.0, "std": std}}
         )
-        learnt = calibrate(stated, known(runs[:2], MASSES_KG[:2]))
+        learnt = calibrate(
+            stated,
+            known(runs[:2], MASSES_KG[:2]),
+        )
         assert learnt.calibration is not None
         answers.append(
             (
                 learnt.calibration,
-                weigh(stated.with_calibration(learnt.calibration), runs[2:], facts()),
+                weigh(
+                    stated.with_calibration(learnt.calibration),
+                    runs[2:],
+                    facts(),
+                ),
             )
         )
     (calibration, estimate), (fixed, given) = answers
@@ -398,7 +461,10 @@ def test_the_torque_constant_does_not_matter(robot: Robot, runs: list[Run]) -> N
         stated = robot.with_overrides(
             {"joints.pivot.drive_train.torque_constant_N_m_per_A": constant}
         )
-        learnt = calibrate(stated, known(runs[:2], MASSES_KG[:2]))
+        learnt = calibrate(
+            stated,
+            known(runs[:2], MASSES_KG[:2]),
+        )
         assert learnt.calibration is not None
         calibrated = stated.with_calibration(learnt.calibration)
         assert calibrated.is_calibrated(["pivot"])
@@ -431,7 +497,10 @@ def test_swings_and_driven_probes_are_given_apart(robot: Robot, runs: list[Run])
     with pytest.raises(RecordingError, match="give them apart"):
         weigh(robot, [runs[0], driven], facts())
     with pytest.raises(RecordingError, match="give them apart"):
-        calibrate(robot, known([runs[0], driven], MASSES_KG[:2]))
+        calibrate(
+            robot,
+            known([runs[0], driven], MASSES_KG[:2]),
+        )
 
 
 # --- real servos -------------------------------------------------------------------------------------------------------
@@ -520,7 +589,10 @@ def test_a_real_servo_by_another_one_s_calibration_is_named(
     assert learnt.verdict is Verdict.ACCEPTED
     for kg in REAL_KG:
         bag = folder / f"{asked}_{kg:.3f}kg"
-        estimate = replay(bag, Options(calibration=output, settings=dict(REAL)))
+        estimate = replay(
+            bag,
+            Options(calibration=output, settings=dict(REAL)),
+        )
         assert estimate.values[0].value is None
         assert getattr(estimate.reasons[0], "code", "") == "another_joint"
 

@@ -81,14 +81,27 @@ def test_several_answers_are_a_table_and_errors_are_wrapped() -> None:
         re.MULTILINE,
     )
     assert "usable  seconds" not in on_terminal("check", PUSH)
-    wrong = on_terminal("check", "nowhere_" + "far/" * 5 + "bag", PUSH, columns=60)
+    wrong = on_terminal(
+        "check",
+        "nowhere_" + "far/" * 5 + "bag",
+        PUSH,
+        columns=60,
+    )
     assert (
         wrong.startswith("\033[31mproprio: \033[0m") and max(map(len, wrong.splitlines()[1:])) <= 60
     )
 
 
 def test_a_batch_shows_its_answers(tmp_path: Path) -> None:
-    words = ["batch", PUSH, STUCK, "--out", str(tmp_path / "out"), "--jobs", "1"]
+    words = [
+        "batch",
+        PUSH,
+        STUCK,
+        "--out",
+        str(tmp_path / "out"),
+        "--jobs",
+        "1",
+    ]
     seen = on_terminal(*words, columns=150)
     assert re.search(
         r"^episode +answer +95 % interval +verdict\n.*bag_mcap +- +- +not_identifiable +stuck",
@@ -99,7 +112,14 @@ def test_a_batch_shows_its_answers(tmp_path: Path) -> None:
         r"^\S*bag_mcap +50 g +0 \.\. 131 g +too_wide +too_wide, not_calibrated", seen, re.MULTILINE
     ), seen
     again = subprocess.run(
-        [sys.executable, "-m", "proprio_ros.cli", *words], capture_output=True, text=True
+        [
+            sys.executable,
+            "-m",
+            "proprio_ros.cli",
+            *words,
+        ],
+        capture_output=True,
+        text=True,
     )
     assert (
         again.stdout.splitlines()[0] == "2 episodes: 1 not_identifiable, 1 too_wide"
@@ -148,7 +168,10 @@ def test_what_the_documentation_asks_of_json_is_in_it(capsys: pytest.CaptureFixt
 
 
 @pytest.mark.parametrize("shell", SHELLS)
-def test_every_command_is_completed(shell: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_every_command_is_completed(
+    shell: str,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     assert main(["completion", shell]) == 0
     script = capsys.readouterr().out
     for word in (

@@ -89,7 +89,9 @@ def test_a_signal_in_mid_write_leaves_nothing(
 
 @pytest.mark.parametrize("words", [["check", PUSH], ["check", PUSH, "--json"], ["check", "no"]])
 def test_an_answer_onto_a_full_disk_is_one_sentence(
-    monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str], words: list[str]
+    monkeypatch: pytest.MonkeyPatch,
+    capfd: pytest.CaptureFixture[str],
+    words: list[str],
 ) -> None:
     if not os.path.exists("/dev/full"):
         pytest.skip("needs /dev/full")

@@ -76,7 +76,10 @@ def test_calibrate_gives_the_same_json(tmp_path: Path) -> None:
     ids=lambda value: value[0] if isinstance(value, tuple) else value,
 )
 def test_one_sentence_says_what_to_install(
-    tmp_path: Path, words: tuple[str, ...], package: str, extra: str
+    tmp_path: Path,
+    words: tuple[str, ...],
+    package: str,
+    extra: str,
 ) -> None:
     refused = proprio(tmp_path, *words)
     assert refused.returncode == 2 and refused.stdout == ""

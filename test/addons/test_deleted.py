@@ -19,7 +19,11 @@ ADDONS = sorted(
     path.parent.name for path in (REPOSITORY / "proprio_ros" / "addons").glob("*/__init__.py")
 )
 ALL = "all of them"
-BRINGS = {"contents": set(), "fleet": {"batch"}, "paper": {"paper"}}
+BRINGS = {
+    "contents": set(),
+    "fleet": {"batch"},
+    "paper": {"paper"},
+}
 """Commands of ``proprio`` by add-on."""
 CORE = (
     "test/test_records.py",
@@ -117,11 +121,24 @@ def test_the_rest_works_without(
 ) -> None:
     gone = ADDONS if deleted == ALL else [deleted]
     folder = copied(tmp_path, *gone)
-    imported = run(folder, "-c", EVERY_MODULE.replace("COPY", str(folder)))
+    imported = run(
+        folder,
+        "-c",
+        EVERY_MODULE.replace("COPY", str(folder)),
+    )
     assert imported.returncode == 0, imported.stderr
     before, answers = whole
     assert commands(folder) == before - set().union(*(BRINGS[name] for name in gone))
     assert offline_example(folder) == answers
     if deleted == ALL:  # the core alone
-        tested = run(folder, "-m", "pytest", "-q", "-x", "-p", "no:cacheprovider", *CORE)
+        tested = run(
+            folder,
+            "-m",
+            "pytest",
+            "-q",
+            "-x",
+            "-p",
+            "no:cacheprovider",
+            *CORE,
+        )
         assert tested.returncode == 0, tested.stdout[-4000:]

@@ -108,7 +108,16 @@ def put_in(
                 JOINTS,
                 goal.tolist(),
             )
-            told = feed.add(float(t), JOINTS, position.tolist(), [], "") or told
+            told = (
+                feed.add(
+                    float(t),
+                    JOINTS,
+                    position.tolist(),
+                    [],
+                    "",
+                )
+                or told
+            )
     return told or "nothing is said"
 
 
@@ -126,7 +135,18 @@ def weighed(
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         output = folder / "calibrated.yaml"
-        empty = [write(folder / label, arm.moved(0.0, random, RATE_HZ, seconds)) for label in "ab"]
+        empty = [
+            write(
+                folder / label,
+                arm.moved(
+                    0.0,
+                    random,
+                    RATE_HZ,
+                    seconds,
+                ),
+            )
+            for label in "ab"
+        ]
         known = write(
             folder / "known",
             arm.moved(KNOWN_KG, random, RATE_HZ, seconds),

@@ -234,7 +234,14 @@ def arm_answers(seed: int) -> list[Answer]:
 
 def place_answers(seed: int) -> list[Answer]:
     """One arm's, calibrated in other poses than those that it weighs in."""
-    arm, rng = Twin(seed, THREE, teeth=seed % 2 == 1), np.random.default_rng([seed, 32])
+    arm, rng = (
+        Twin(
+            seed,
+            THREE,
+            teeth=seed % 2 == 1,
+        ),
+        np.random.default_rng([seed, 32]),
+    )
     with tempfile.TemporaryDirectory() as folder:
         robot = load_robot(write_robot(Path(folder), build=THREE))
 
@@ -494,10 +501,25 @@ def real_ur10e(real: Path, folder: Path) -> Iterator[Answer]:
         bag: Path,
         by: Path,
     ) -> Callable[[], Estimate]:
-        return lambda: replay(bag, Options(robot=robot, baseline=[str(by)], **unit))  # type: ignore[arg-type]
+        return lambda: replay(
+            bag,
+            Options(
+                robot=robot,
+                baseline=[str(by)],
+                **unit,
+            ),
+        )  # type: ignore[arg-type]
 
     pieces = {
-        n: [cut(bag, folder / f"piece_{n}_{k}", 15.0 * k, 15.0 * k + 15.0) for k in range(3)]
+        n: [
+            cut(
+                bag,
+                folder / f"piece_{n}_{k}",
+                15.0 * k,
+                15.0 * k + 15.0,
+            )
+            for k in range(3)
+        ]
         for n, bag in loaded.items()
     }
     for n, by in empty.items():
@@ -580,7 +602,16 @@ def real_answers(
 ) -> list[Answer]:
     # of a machine each recording is asked of many times
     with tempfile.TemporaryDirectory() as folder, once_each():
-        return list(itertools.islice(MACHINES[name](recordings, Path(folder), **of_it), at_most))
+        return list(
+            itertools.islice(
+                MACHINES[name](
+                    recordings,
+                    Path(folder),
+                    **of_it,
+                ),
+                at_most,
+            )
+        )
 
 
 # --- the table --------------------------------------------------------------------------------------------------------

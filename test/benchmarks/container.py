@@ -414,7 +414,11 @@ def mujoco_fit(
         rollouts += 1
         values = problem.base.copy()
         off = np.delete(x - 10.0, mass)
-        values[problem.free] = mean + np.where(np.isfinite(std), std, 0.0) * (x - 10.0)
+        values[problem.free] = mean + np.where(
+            np.isfinite(std),
+            std,
+            0.0,
+        ) * (x - 10.0)
         values[at["sphere_mass"]] = np.exp(x[mass])
         shown = mujoco_box.positions(
             values[at["sphere_mass"]],
@@ -547,7 +551,11 @@ def apart(
 
 def share_in_contact(simulator: SphereSimulator, p: np.ndarray) -> float:
     """In how many of the samples the sphere touches a wall."""
-    x = states_of(simulator, np.zeros(len(p), dtype=np.int32), p)[2]
+    x = states_of(
+        simulator,
+        np.zeros(len(p), dtype=np.int32),
+        p,
+    )[2]
     return float((np.abs(x) > simulator.enclosure.room).any(axis=2).mean())
 
 
@@ -616,7 +624,15 @@ def bias_of_steps(
     row = SPHERE_INDEX["sphere_mass"]
     by_mass = np.zeros((1, len(p), 1))
     by_mass[0, row] = 1.0
-    true = stepped("rk4", FINE_STEP_S).jacobian(world, p[None], by_mass)[0][0].copy()
+    true = (
+        stepped("rk4", FINE_STEP_S)
+        .jacobian(
+            world,
+            p[None],
+            by_mass,
+        )[0][0]
+        .copy()
+    )
     simulator = stepped(integrator, step_s)
     found = p.copy()
     for _ in range(15):

@@ -150,7 +150,13 @@ def allowed(
     inside = truth["contents"]
     assert isinstance(facts, ContentsFacts)
     runs = [
-        prepare_run(robot, run, None, facts.shell) for run in (*recorded.runs, *recorded.baseline)
+        prepare_run(
+            robot,
+            run,
+            None,
+            facts.shell,
+        )
+        for run in (*recorded.runs, *recorded.baseline)
     ]
     filled = [True] * len(recorded.runs) + [False] * len(recorded.baseline)
     problem = ContentsProblem(robot, runs, facts, filled, "liquid")

@@ -142,7 +142,11 @@ def bare(
     """A run whose positions are still to come."""
     half = 0.5 * shake_period_s(hz) if push.shake_A else push.duration_s
     switches = np.arange(0.0, push.duration_s - 1e-9, half)
-    currents = current_A + push.shake_A * np.where(np.arange(len(switches)) % 2, -1.0, 1.0)
+    currents = current_A + push.shake_A * np.where(
+        np.arange(len(switches)) % 2,
+        -1.0,
+        1.0,
+    )
     times_s = np.arange(1, int(push.duration_s * arm.rate)) / arm.rate
     held = {name: at for name, at in push.start.items() if name != push.joint}
     at = push.start[push.joint]
@@ -290,7 +294,11 @@ def rows() -> Iterator[dict[str, object]]:
             for kg in MASSES_KG:
                 if kg / (1000.0 * np.pi * radius**2) > 0.2:
                     continue  # no such container fits a hand
-                for what, pushes in zip(SETS, (arm.pushes[:3], arm.pushes), strict=True):
+                for what, pushes in zip(
+                    SETS,
+                    (arm.pushes[:3], arm.pushes),
+                    strict=True,
+                ):
                     found = bound(arm, pushes, radius, kg)
                     if found is not None:
                         yield {**found, "runs": what}

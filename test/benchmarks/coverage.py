@@ -239,7 +239,15 @@ def one_robot(job: tuple[int, tuple[str, ...], Spread]) -> tuple[list[Answer], i
             return answers, len(MASSES_KG), len(MASSES_KG)
         calibrated = robot.with_calibration(learnt.calibration)
         used = {run["name"] for run in learnt.calibration.runs}
-        kept = [prepare_run(robot, k.run, k.load) for k in known if k.run.name in used]
+        kept = [
+            prepare_run(
+                robot,
+                k.run,
+                k.load,
+            )
+            for k in known
+            if k.run.name in used
+        ]
     refused = 0
     for mass in MASSES_KG:
         probe = LOADED_PROBES[int(rng.integers(len(LOADED_PROBES)))]

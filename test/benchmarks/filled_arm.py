@@ -448,7 +448,11 @@ def dummies(count: int, seed: int) -> list[Case]:
     """So many rigid things more, as heavy as a liquid that fills a container to anywhere."""
     rng = np.random.default_rng([seed, 62])
     return [
-        Case("rigid", int(rng.integers(3)), round(float(rng.uniform(0.01, 0.06)), 4))
+        Case(
+            "rigid",
+            int(rng.integers(3)),
+            round(float(rng.uniform(0.01, 0.06)), 4),
+        )
         for _ in range(count)
     ]
 

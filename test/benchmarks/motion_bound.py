@@ -229,7 +229,12 @@ class Model:
         ).T / (2.0 * step)
         result = []
         for number, ((motion, loaded), (passed, gain, slip), read) in enumerate(
-            zip(self.motions, self._motors(self.truth), self.read(self.truth), strict=True)
+            zip(
+                self.motions,
+                self._motors(self.truth),
+                self.read(self.truth),
+                strict=True,
+            )
         ):
             wave = self.arm.wave(motion.position)
             coulomb = of["coulomb"][number]

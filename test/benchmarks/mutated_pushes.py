@@ -368,7 +368,11 @@ def merged_in_memory(
         other = drawn_arm(int(random.integers(10**6)))
     assert arm.robot.calibration is not None and other.robot.calibration is not None
     calibration = arm.robot.calibration
-    for joint in random.choice(TURNING, int(random.integers(1, 3)), replace=False).tolist():
+    for joint in random.choice(
+        TURNING,
+        int(random.integers(1, 3)),
+        replace=False,
+    ).tolist():
         calibration = bends.merged(calibration, other.robot.calibration, joint)
     file = load_robot("open_manipulator_x")
     push = arm.pushes(random)
@@ -505,7 +509,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
     tallies = {kind: Tally() for kind in options.only}
     unmutated = Tally()
     halves: list[float] = []
-    for kind, arm, random in cases(options.first, options.count, options.only, RECORDINGS.is_dir()):
+    for kind, arm, random in cases(
+        options.first,
+        options.count,
+        options.only,
+        RECORDINGS.is_dir(),
+    ):
         push = None
         state = random.bit_generator.state
         try:

@@ -525,7 +525,15 @@ def record(
     since_torque_s = instants_s - robot.delay_s - late_s
 
     true = np.stack(
-        [np.interp(since_torque_s, motion.times_s, column) for column in motion.position.T], axis=1
+        [
+            np.interp(
+                since_torque_s,
+                motion.times_s,
+                column,
+            )
+            for column in motion.position.T
+        ],
+        axis=1,
     )
     shafts = np.column_stack(
         [
@@ -551,7 +559,14 @@ def record(
     commands = np.zeros_like(currents)
     on = (cycles_s > -0.5 * period_s) & (cycles_s < duration_s - 0.5 * period_s)
     first_half = (cycles_s + 0.25 * period_s) % shake[1] < 0.5 * shake[1]
-    commands[on, column] = current_A + np.where(first_half, shake[0], -shake[0])[on]
+    commands[on, column] = (
+        current_A
+        + np.where(
+            first_half,
+            shake[0],
+            -shake[0],
+        )[on]
+    )
     names = (*JOINTS, GRIPPER)
     return Recording(
         name=f"{joint} {1e3 * current_A:+.0f} mA",

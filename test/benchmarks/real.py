@@ -244,7 +244,15 @@ def ur10e(real: Path, folder: Path) -> Iterator[Answer]:
 def open_manipulator(real: Path, folder: Path) -> Iterator[Answer]:
     bag = real / "omx_empty_1"
     half_s = 0.5 * seconds_of(bag)
-    halves = [cut(bag, folder / f"half_{n}", n * half_s, (n + 1) * half_s) for n in (0, 1)]
+    halves = [
+        cut(
+            bag,
+            folder / f"half_{n}",
+            n * half_s,
+            (n + 1) * half_s,
+        )
+        for n in (0, 1)
+    ]
     more = ("--effort-unit", "raw", "--set", "held.gripper_left_joint=0.0")
     for one, other in (halves, halves[::-1]):
         file = folder / f"{one.name}.yaml"

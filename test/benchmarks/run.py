@@ -52,7 +52,13 @@ def our_rows(case: Case) -> list[Row]:
     """Our own times."""
     solve = measure(case.solve, repeats=4 * REPEATS, warm_up=5)
     whole = measure(
-        lambda: weigh(case.robot, [case.run], case.facts), repeats=2 * REPEATS, warm_up=2
+        lambda: weigh(
+            case.robot,
+            [case.run],
+            case.facts,
+        ),
+        repeats=2 * REPEATS,
+        warm_up=2,
     )
     answer = case.solve()
     masses = ", ".join(f"{1e3 * mass:.2f}" for mass in case.masses(answer.internal))

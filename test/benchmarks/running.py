@@ -167,7 +167,13 @@ def bound_s(arm: SensingArm, mass_kg: float = 0.1) -> float:
 def moving_s(motion: Motion, since_s: float, until_s: float) -> float:
     """How long the arm moved between two instants [s]; at rest friction may carry anything."""
     inside = (motion.times_s >= since_s) & (motion.times_s <= until_s)
-    speed = np.abs(np.gradient(motion.position, motion.times_s, axis=0)).max(axis=1)
+    speed = np.abs(
+        np.gradient(
+            motion.position,
+            motion.times_s,
+            axis=0,
+        )
+    ).max(axis=1)
     return float(np.mean(speed[inside] > 0.1) * (until_s - since_s))
 
 

@@ -93,7 +93,14 @@ class Servo:
         model = mujoco.MjModel.from_xml_string(text)
         data = mujoco.MjData(model)
         dry = self.coulomb_N_m * random.normal(1.0, 0.08)
-        phases, speeds = random.uniform(0.0, 2.0 * np.pi, 3), random.uniform(1.0, 5.0, 3)
+        phases, speeds = (
+            random.uniform(
+                0.0,
+                2.0 * np.pi,
+                3,
+            ),
+            random.uniform(1.0, 5.0, 3),
+        )
 
         def goal_at(t: float) -> float:
             return float(np.sum(0.5 * (np.sin(speeds * t + phases) - np.sin(phases))))

@@ -96,7 +96,19 @@ def _force_kernel(
     r1, r2, r3 = _edges(v, tets, t)
     rates = wp.matrix_from_cols(r1, r2, r3)
     j = cell_j[cells[t]]
-    pull = -_pull(e1, e2, e3, rates, j, volumes[t], inverses[t], grams[t], p[7], p[8], p[9])
+    pull = -_pull(
+        e1,
+        e2,
+        e3,
+        rates,
+        j,
+        volumes[t],
+        inverses[t],
+        grams[t],
+        p[7],
+        p[8],
+        p[9],
+    )
     f1 = VEC3(
         pull[0, 0],
         pull[1, 0],
@@ -203,7 +215,14 @@ class PerSubstep:
         steps = len(self._currents)
         substeps = self.run.substeps
         p0 = self._p.numpy()
-        x, v = (wp.array(part[0], dtype=VEC3, requires_grad=True) for part in self._start)
+        x, v = (
+            wp.array(
+                part[0],
+                dtype=VEC3,
+                requires_grad=True,
+            )
+            for part in self._start
+        )
         q = wp.array(
             p0[[SOFT_INDEX["q0"], SOFT_INDEX["v0"]]],
             dtype=FLOAT,
@@ -287,7 +306,14 @@ class OnePerSubstep:
             ((1, steps, nodes), VEC3),
             ((1, steps), FLOAT),
         ]
-        self._arrays = [wp.zeros(shape, dtype=kind, requires_grad=True) for shape, kind in shapes]
+        self._arrays = [
+            wp.zeros(
+                shape,
+                dtype=kind,
+                requires_grad=True,
+            )
+            for shape, kind in shapes
+        ]
         start = (*p[:, [SOFT_INDEX["q0"], SOFT_INDEX["v0"]]].T, *body._start(p, None))
         for array, value in zip(self._arrays, start, strict=False):
             array.numpy()[:, 0] = value
@@ -470,7 +496,17 @@ class Fit:
             step = -np.linalg.solve(
                 normal + damping * np.diag(np.diag(normal)), jacobian.T @ residual
             )
-            moved = values * [np.exp(np.clip(step[0], -1, 1)), 1, 1] + [
+            moved = values * [
+                np.exp(
+                    np.clip(
+                        step[0],
+                        -1,
+                        1,
+                    )
+                ),
+                1,
+                1,
+            ] + [
                 0,
                 0.1 * step[1],
                 1e-3 * step[2],

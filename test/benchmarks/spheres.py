@@ -197,9 +197,36 @@ def _probe(
 
 PROBES = (
     # of each, the first that moves the empty box by 0.3 rad
-    tuple(_probe("joint4", -0.6, -1.0, 0.6, current) for current in (-0.10, -0.12, -0.144, -0.173)),
-    tuple(_probe("joint4", -0.6, -0.2, 0.4, current) for current in (-0.03, -0.015, 0.0, 0.02)),
-    tuple(_probe("joint3", -0.6, -0.4, 0.0, current) for current in (-0.10, -0.05, -0.02, 0.02)),
+    tuple(
+        _probe(
+            "joint4",
+            -0.6,
+            -1.0,
+            0.6,
+            current,
+        )
+        for current in (-0.10, -0.12, -0.144, -0.173)
+    ),
+    tuple(
+        _probe(
+            "joint4",
+            -0.6,
+            -0.2,
+            0.4,
+            current,
+        )
+        for current in (-0.03, -0.015, 0.0, 0.02)
+    ),
+    tuple(
+        _probe(
+            "joint3",
+            -0.6,
+            -0.4,
+            0.0,
+            current,
+        )
+        for current in (-0.10, -0.05, -0.02, 0.02)
+    ),
 )
 """The sequence ``container``."""
 

@@ -34,7 +34,16 @@ def test_whoever_loads_it_keeps_subnormal_numbers() -> None:
 
 @pytest.mark.long
 def test_a_wave_is_as_fast_as_theory_says_and_a_finer_grid_agrees() -> None:
-    coarse, fine = (sloshing(CYLINDER, FILL_M, 0.1, layers, EXCHANGE_S) for layers in (20, 26))
+    coarse, fine = (
+        sloshing(
+            CYLINDER,
+            FILL_M,
+            0.1,
+            layers,
+            EXCHANGE_S,
+        )
+        for layers in (20, 26)
+    )
     thin, _ = sloshing(CYLINDER, FILL_M, 0.001, 20, EXCHANGE_S)
     assert thin == pytest.approx(theory_hz(0.035, FILL_M), rel=0.03)
     assert coarse[0] == pytest.approx(fine[0], rel=0.04)
@@ -74,7 +83,17 @@ def test_contents_weigh_what_they_weigh_and_follow_their_container() -> None:
     assert len(grains.x) >= 100
     for contents in (liquid, grains):
         told = np.mean(
-            [contents.step(DOWN, NONE, NONE, NONE, EXCHANGE_S) for _ in range(10)], axis=0
+            [
+                contents.step(
+                    DOWN,
+                    NONE,
+                    NONE,
+                    NONE,
+                    EXCHANGE_S,
+                )
+                for _ in range(10)
+            ],
+            axis=0,
         )
         centre, _ = contents.moments()
         weight = contents.kg * DOWN
@@ -92,7 +111,19 @@ def test_contents_weigh_what_they_weigh_and_follow_their_container() -> None:
     # the rest sloshes
     assert share == pytest.approx(1.0 - 2.0 * np.tanh(ks) / (2.39 * ks), abs=0.03)
     held = (
-        np.mean([grains.step(DOWN, push, NONE, NONE, EXCHANGE_S)[0] for _ in range(50)]) / grains.kg
+        np.mean(
+            [
+                grains.step(
+                    DOWN,
+                    push,
+                    NONE,
+                    NONE,
+                    EXCHANGE_S,
+                )[0]
+                for _ in range(50)
+            ]
+        )
+        / grains.kg
     )
     assert held == pytest.approx(-1.0, abs=0.03)  # grains that do not slide are carried along
 
@@ -169,7 +200,15 @@ def test_the_law_turns_a_joint_as_the_particles_do(
         p[0, SLOSH_PARAMETERS.index(name)] = value
     run = JointRun(times_s, times_s, torque, friction_velocity=1e-2, step_s=step_s)
     law = SloshSimulator(
-        [SloshRun(run, reach, low, np.array([0.0, 0.0, 9.81]), np.array([0.0, -9.81, 0.0]))]
+        [
+            SloshRun(
+                run,
+                reach,
+                low,
+                np.array([0.0, 0.0, 9.81]),
+                np.array([0.0, -9.81, 0.0]),
+            )
+        ]
     )
     shown = law.rollout(np.zeros(1, dtype=np.int32), p)[0][0]
     real = turned(True)

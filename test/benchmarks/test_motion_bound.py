@@ -63,7 +63,12 @@ def test_the_best_estimate_on_the_simulator_s_own_laws_errs_as_much_as_the_bound
         estimate = model.truth.copy()
         for _ in range(4):
             left = [
-                ((y - f) / std**2).ravel() for y, f in zip(read, model.read(estimate), strict=True)
+                ((y - f) / std**2).ravel()
+                for y, f in zip(
+                    read,
+                    model.read(estimate),
+                    strict=True,
+                )
             ]
             score = sum(rows.T @ part for rows, part in zip(slopes, left, strict=True))
             step = covariance @ (score + precision @ (stated - estimate))

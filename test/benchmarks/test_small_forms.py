@@ -216,7 +216,13 @@ def test_episodes_are_made_and_judged(
 
     folder = tmp_path / "episodes"
     batch.main(["make", str(folder), "--episodes", "4", "--jobs", "1"])
-    assert batch.batch(folder, [str(folder / "data")], folder / "out", "--jobs", "1").wait() in (
+    assert batch.batch(
+        folder,
+        [str(folder / "data")],
+        folder / "out",
+        "--jobs",
+        "1",
+    ).wait() in (
         0,
         3,
     )

@@ -140,7 +140,16 @@ def _calibrated(
     from so101 import KNOWN_KG
 
     beside = files["calibration"].parent
-    empty = [str(stretched(beside / each, folder / each, factor)) for each in ("a", "b")]
+    empty = [
+        str(
+            stretched(
+                beside / each,
+                folder / each,
+                factor,
+            )
+        )
+        for each in ("a", "b")
+    ]
     known = stretched(beside / "known", folder / "known", factor)
     path = folder / "so101.yaml"
     words = ["calibrate", *empty, "--reference", f"{known}={KNOWN_KG}", "--robot", "so101"]

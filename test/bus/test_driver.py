@@ -37,7 +37,12 @@ SETTINGS = DriverSettings(reconnect_s=0.05)
 class Rig:
     """A virtual robot with a driver, and a note of the currents that flow."""
 
-    def __init__(self, clock: SimulatedClock, folder: Path, settings: DriverSettings) -> None:
+    def __init__(
+        self,
+        clock: SimulatedClock,
+        folder: Path,
+        settings: DriverSettings,
+    ) -> None:
         self.clock = clock
         self.robot = load_robot("open_manipulator_x")
         self.virtual = VirtualRobot(
@@ -154,7 +159,11 @@ def settings() -> DriverSettings:
 
 
 @pytest.fixture
-def rig(clock: SimulatedClock, tmp_path: Path, settings: DriverSettings) -> Iterator[Rig]:
+def rig(
+    clock: SimulatedClock,
+    tmp_path: Path,
+    settings: DriverSettings,
+) -> Iterator[Rig]:
     """Connected, held and settled."""
     rig = Rig(clock, tmp_path, settings)
     try:
@@ -274,7 +283,14 @@ def test_a_position_is_followed_no_faster_than_allowed(rig: Rig) -> None:
     velocity = [sample.velocity["joint1"] for sample in samples]
     assert max(velocity) < 2.5 * 1.5, "the servo lags and catches up a little"
     path = np.array([(sample.sampled_at_s, sample.position["joint1"]) for sample in samples])
-    halfway = np.interp(path[0, 0] + 0.15, path[:, 0], path[:, 1]) - start
+    halfway = (
+        np.interp(
+            path[0, 0] + 0.15,
+            path[:, 0],
+            path[:, 1],
+        )
+        - start
+    )
     assert halfway < 0.15 * 2.5 + 0.03
     assert path[-1, 1] - start == pytest.approx(0.75, abs=0.03)
 
@@ -301,13 +317,19 @@ def test_refused_positions(rig: Rig) -> None:
 def test_a_zero_from_nobody_drops_nothing(rig: Rig) -> None:
     """Five zeros by mistake used to mean: drive all joints with 0 A, and the arm fell."""
     start = rig.position()
-    rig.run(0.7, dict.fromkeys(rig.driver.joints, 0.0))
+    rig.run(
+        0.7,
+        dict.fromkeys(rig.driver.joints, 0.0),
+    )
     assert set(rig.driver.modes.values()) == {"held"}
     for name, position in rig.position().items():
         assert position == pytest.approx(start[name], abs=0.02)
     # nor does it keep the arm from moving
     assert rig.driver.command_positions({"joint1": start["joint1"] + 0.2}) == ""
-    rig.run(0.4, dict.fromkeys(rig.driver.joints, 0.0))
+    rig.run(
+        0.4,
+        dict.fromkeys(rig.driver.joints, 0.0),
+    )
     assert rig.position()["joint1"] == pytest.approx(start["joint1"] + 0.2, abs=0.03)
 
 
@@ -464,7 +486,10 @@ def test_the_way_does_not_lead_through_the_table(rig: Rig) -> None:
     lowest = math.inf
     for _ in range(150):
         rig.cycle()
-        lowest = min(lowest, clearance(rig.robot, rig.position()))
+        lowest = min(
+            lowest,
+            clearance(rig.robot, rig.position()),
+        )
     assert lowest > -0.01
     assert sum("too near to the base's plane" in message for _, message in rig.log) == 1
 
@@ -475,9 +500,13 @@ def test_a_push_ends_above_the_table(rig: Rig) -> None:
     samples = rig.run(0.6, {"joint3": 0.15})
     assert rig.said("joint3 was about to bring the arm too near to the base's plane")
     assert rig.driver.modes["joint3"] == "held"
-    assert np.any(np.isclose(rig.currents("joint3", start_s), 56 * UNIT_A, atol=1e-9)), (
-        "it did push"
-    )
+    assert np.any(
+        np.isclose(
+            rig.currents("joint3", start_s),
+            56 * UNIT_A,
+            atol=1e-9,
+        )
+    ), "it did push"
     assert min(clearance(rig.robot, sample.position) for sample in samples) > 0.13
     rig.run(0.15)
     rig.run(0.03, {"joint3": PUSH_A})
@@ -497,7 +526,13 @@ def test_a_joint_at_its_limit_is_not_driven_further(rig: Rig) -> None:
     assert sum("upper limit" in message for _, message in rig.log) == 1, (
         "said once, not in every cycle"
     )
-    assert not np.any(np.isclose(rig.currents("joint3", start_s), 74 * UNIT_A, atol=1e-9))
+    assert not np.any(
+        np.isclose(
+            rig.currents("joint3", start_s),
+            74 * UNIT_A,
+            atol=1e-9,
+        )
+    )
     rig.run(0.15)
     rig.run(0.05, {"joint3": PUSH_A})
     assert rig.driver.modes["joint3"] == "driven", "away from it"

@@ -34,7 +34,10 @@ def desk(clock: SimulatedClock) -> Iterator[Desk]:
 
 
 @pytest.fixture(params=[True, False], ids=["fast", "plain"])
-def bus(request: pytest.FixtureRequest, desk: Desk) -> Iterator[DynamixelBus]:
+def bus(
+    request: pytest.FixtureRequest,
+    desk: Desk,
+) -> Iterator[DynamixelBus]:
     """Open, servos prepared."""
     bus = desk.bus(fast=request.param)
     bus.open()
@@ -136,7 +139,12 @@ class Watched(VirtualServo):
 
     log: list[tuple[str, int]]
 
-    def _set(self, name: str, value: int, now_s: float) -> None:
+    def _set(
+        self,
+        name: str,
+        value: int,
+        now_s: float,
+    ) -> None:
         self.log.append((name, value))
         super()._set(name, value, now_s)
 

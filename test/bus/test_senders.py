@@ -37,32 +37,68 @@ MS = 1_000_000
 def test_what_is_doubled_or_overtaken_is_nobody_elses() -> None:
     senders = Senders()
     assert [senders.of(number, "five", number * MS) for number in (1, 2, 3)] == [1, 1, 1]
-    assert senders.of(3, "five", 3 * MS) == senders.of(1, "five", MS) == OUTDATED, "doubled"
+    assert (
+        senders.of(
+            3,
+            "five",
+            3 * MS,
+        )
+        == senders.of(1, "five", MS)
+        == OUTDATED
+    ), "doubled"
     assert senders.of(5, "five", 5 * MS) == 1 and senders.of(4, "five", 4 * MS) == OUTDATED, (
         "overtaken"
     )
     assert senders.of(6, "five", 6 * MS) == 1, "and it goes on"
     # another that looks alike and begins to count, whatever it says: it sends later
-    assert [senders.of(number, "five", (10 + number) * MS) for number in (1, 2, 3, 4)] == [
+    assert [
+        senders.of(
+            number,
+            "five",
+            (10 + number) * MS,
+        )
+        for number in (1, 2, 3, 4)
+    ] == [
         2,
         2,
         2,
         2,
     ]
     assert senders.of(7, "five", 20 * MS) == 1
-    assert [senders.of(number, "five", (30 + number) * MS) for number in (900, 901)] == [3, 3]
+    assert [
+        senders.of(
+            number,
+            "five",
+            (30 + number) * MS,
+        )
+        for number in (900, 901)
+    ] == [3, 3]
     assert senders.of(901 - LATE, "five", 30 * MS) == 4, "too far back to be late"
 
 
 def test_one_command_by_each_of_many_who_say_the_same_is_obeyed() -> None:
     """As by ``ros2 topic pub --once``, time and again: each is its publisher's first."""
     senders = Senders()
-    assert OUTDATED not in [senders.of(1, "five", sent * 1000 * MS) for sent in range(40)]
+    assert OUTDATED not in [
+        senders.of(
+            1,
+            "five",
+            sent * 1000 * MS,
+        )
+        for sent in range(40)
+    ]
 
 
 def test_by_a_clock_that_is_behind_nothing_is_outdated() -> None:
     senders = Senders()
-    assert [senders.of(number, "five", 60_000 * MS + number) for number in (1, 2, 3)] == [1, 1, 1]
+    assert [
+        senders.of(
+            number,
+            "five",
+            60_000 * MS + number,
+        )
+        for number in (1, 2, 3)
+    ] == [1, 1, 1]
     assert senders.of(1, "five", 10_000 * MS) == 2
     assert senders.of(2, "five") == 2, "nobody says when it was sent"
 
@@ -108,7 +144,11 @@ def test_a_clock_that_is_set_while_a_message_is_on_its_way(set_ms: int) -> None:
     senders = Senders()
     senders.late_s(1, MS)
     for late_ms in (3, 400):  # sent before
-        assert senders.late_s(1, (late_ms + set_ms) * MS, set_ms * MS) >= 0.99e-3 * (late_ms - 1)
+        assert senders.late_s(
+            1,
+            (late_ms + set_ms) * MS,
+            set_ms * MS,
+        ) >= 0.99e-3 * (late_ms - 1)
     # sent since; where it was set by little, nobody knows whether it was sent before
     assert senders.late_s(1, MS, set_ms * MS) <= (0.201 if set_ms == -200 else 0.001)
     senders.clock_was_set(set_ms * MS)
@@ -135,5 +175,8 @@ def test_what_waited_for_more_than_a_second_beside_a_clock_that_is_set_is_late(s
 def test_only_so_many_publishers_are_remembered() -> None:
     senders = Senders()
     for sent in range(100):
-        senders.late_s(senders.of(1, "five", sent * 1000 * MS), MS)
+        senders.late_s(
+            senders.of(1, "five", sent * 1000 * MS),
+            MS,
+        )
     assert len(senders._last) == len(senders._error_ns) == MOST

@@ -69,7 +69,12 @@ def test_the_port_belongs_to_one_process(desk: Desk, plain: DynamixelBus) -> Non
         "    print(error)\n"
     )
     other = subprocess.run(
-        [sys.executable, "-c", code, str(desk.port.path)],
+        [
+            sys.executable,
+            "-c",
+            code,
+            str(desk.port.path),
+        ],
         capture_output=True,
         text=True,
         timeout=60,

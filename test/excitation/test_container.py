@@ -15,7 +15,10 @@ pytestmark = pytest.mark.long
 
 
 def played(
-    name: str, seed: int, sphere_kg: float, coulomb: float | None = None
+    name: str,
+    seed: int,
+    sphere_kg: float,
+    coulomb: float | None = None,
 ) -> tuple[ExcitationMachine, list[float]]:
     """The machine at its end, and how far the sphere moved in each push [m]; without mass there is no sphere."""
     full = Container(0.03, sphere_mass_kg=sphere_kg or 0.012)

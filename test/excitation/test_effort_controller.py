@@ -25,11 +25,16 @@ TORQUE = {name: drive.nominal_effort_per_current for name, drive in ROBOT.drive_
 
 
 def held(
-    unit: str = "N.m", joints: tuple[str, ...] = ORDER, rate_hz: float = 500.0
+    unit: str = "N.m",
+    joints: tuple[str, ...] = ORDER,
+    rate_hz: float = 500.0,
 ) -> EffortController:
     controller = EffortController(ROBOT, joints, unit)
     for step in range(200):
-        controller.observe(1.0 + step / rate_hz, {**POSE, "wheel": 3.0})
+        controller.observe(
+            1.0 + step / rate_hz,
+            {**POSE, "wheel": 3.0},
+        )
     controller.begin()
     controller.take(Command(dict(POSE)))
     return controller
@@ -86,7 +91,10 @@ def test_a_push_ends_when_the_arm_is_lost() -> None:
     controller = held()
     controller.take(push("joint3", -0.3))
     for step in range(1, 60):
-        controller.observe(2.0 + 0.1 * step, {**POSE, "joint1": 0.01 * step})
+        controller.observe(
+            2.0 + 0.1 * step,
+            {**POSE, "joint1": 0.01 * step},
+        )
     assert controller.commands() == [0.0] * len(ORDER)
     assert controller.lost
     assert not any(controller.record.values())
@@ -197,7 +205,10 @@ def test_commands_are_stamped_on_the_clock_of_the_joint_states_however_late_thes
         15,
     ]
     for step, late in enumerate(late_ms):
-        clock.hear(10**12 + 2_000_000 * step, 2_000_000 * step + 1_000_000 * late)
+        clock.hear(
+            10**12 + 2_000_000 * step,
+            2_000_000 * step + 1_000_000 * late,
+        )
     now_ns = 2_000_000 * 10
     assert clock.at(now_ns) == pytest.approx(10**12 + now_ns - 1_000_000, abs=10_000), (
         "as late as the least late"

@@ -83,6 +83,9 @@ def test_both_ways_and_both_sides(robot: Robot) -> None:
 
 
 def test_an_arm_on_which_nothing_weighs_is_refused(robot: Robot) -> None:
-    flat = replace(robot, gravity=np.array([0.0, 9.81, 0.0]))  # all its axes lie along gravity
+    flat = replace(
+        robot,
+        gravity=np.array([0.0, 9.81, 0.0]),
+    )  # all its axes lie along gravity
     with pytest.raises(ConfigurationError, match="no joint that a motor turns feels a weight"):
         first_sequence(flat, "payload")

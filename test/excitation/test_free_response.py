@@ -35,7 +35,12 @@ WRIST = "joint4"
 SEQUENCE = load_sequence("free_swing", ROBOT)
 ONCE = replace(
     SEQUENCE,
-    runs=(replace(SEQUENCE.runs[0], duration_s=1.5),),
+    runs=(
+        replace(
+            SEQUENCE.runs[0],
+            duration_s=1.5,
+        ),
+    ),
     settle_s=0.3,
 )
 LOOSE_N_M = 0.01
@@ -143,7 +148,14 @@ def test_gravity_and_inertia_are_those_of_another_simulator() -> None:
         turned = max(turned, arm.shaft_rad()[row])
         fastest = max(fastest, arm.velocity_rad_s()[row])
     assert turned == pytest.approx(swing.way(start)[-1], abs=0.02)
-    assert fastest == pytest.approx(swing.speed_at(swing.rest, start, joint.armature), rel=0.02)
+    assert fastest == pytest.approx(
+        swing.speed_at(
+            swing.rest,
+            start,
+            joint.armature,
+        ),
+        rel=0.02,
+    )
 
 
 def test_a_swing_that_would_leave_the_limits_is_refused_before_anything_moves() -> None:
@@ -363,7 +375,12 @@ def at(
 def test_what_makes_positions_unknown_or_an_abort_holds_at_once(mishap: str, phase: Phase) -> None:
     sequence = replace(
         ONCE,
-        runs=(replace(ONCE.runs[0], duration_s=0.5),),
+        runs=(
+            replace(
+                ONCE.runs[0],
+                duration_s=0.5,
+            ),
+        ),
     )
     due = at(0.4 if phase is Phase.PROBE else 0.05, phase)
     done: list[bool] = []
@@ -449,7 +466,12 @@ def test_a_pause_while_it_is_caught_holds_it_and_costs_nothing() -> None:
     machine, ticks, _ = swung(
         replace(
             ONCE,
-            runs=(replace(ONCE.runs[0], duration_s=0.5),),
+            runs=(
+                replace(
+                    ONCE.runs[0],
+                    duration_s=0.5,
+                ),
+            ),
         ),
         meddle=meddle,
     )

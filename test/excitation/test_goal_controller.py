@@ -183,7 +183,10 @@ def test_nothing_is_pushed_after_an_encoder_has_slipped(
         (("gripper", "gripper"), "twice"),
     ],
 )
-def test_a_controller_that_cannot_be_is_refused(joints: tuple[str, ...], words: str) -> None:
+def test_a_controller_that_cannot_be_is_refused(
+    joints: tuple[str, ...],
+    words: str,
+) -> None:
     with pytest.raises(ConfigurationError, match=words):
         GoalController(ROBOT, joints)
 
@@ -244,7 +247,11 @@ def test_a_sequence_of_steps_comes_back_from_its_text() -> None:
 class Arm:
     """State machine, controller and virtual servos, 30 times a second on a clock of the test's own."""
 
-    def __init__(self, sequence: ExcitationSequence = QUICK, payload_kg: float = 0.0) -> None:
+    def __init__(
+        self,
+        sequence: ExcitationSequence = QUICK,
+        payload_kg: float = 0.0,
+    ) -> None:
         pytest.importorskip("mujoco")
         self.driver = PositionDriver(
             ROBOT,
@@ -325,7 +332,14 @@ def test_travel_ends_a_step_and_one_that_moves_too_little_is_not_made_again() ->
     arm = Arm(
         replace(
             QUICK,
-            runs=(replace(PUSH, max_travel=0.1), replace(PUSH, goal_step=-0.02, min_travel=0.2)),
+            runs=(
+                replace(PUSH, max_travel=0.1),
+                replace(
+                    PUSH,
+                    goal_step=-0.02,
+                    min_travel=0.2,
+                ),
+            ),
         )
     )
     arm.until(Phase.DONE)

@@ -75,7 +75,10 @@ def test_an_arm_may_lean_on_its_stop_and_not_be_beyond_it() -> None:
 def test_a_step_of_the_goal_stays_inside_the_limits() -> None:
     run = ExcitationRun("joint3", 0.0, 0.6, goal_step=-0.2)
     check_step(run, POSE, SEQUENCE, WAYS, Guards(), "run 1")
-    low = {**POSE, "joint3": ROBOT.model.joint("joint3").lower + 0.1}
+    low = {
+        **POSE,
+        "joint3": ROBOT.model.joint("joint3").lower + 0.1,
+    }
     with pytest.raises(
         ExcitationError, match=r"run 1: its goal would be .*; use a smaller goal_step"
     ):

@@ -107,7 +107,10 @@ def test_a_load_that_nobody_announced_is_taken_up_without_swinging(
 def test_goals_that_move_are_followed(rate_hz: float) -> None:
     arm = HeldArm(rate_hz, seed=1, coulomb=0.05)
     arm.run(1.0)  # it asks for its delay first
-    moving = arm.run(0.6, {"joint3": -0.8, "joint4": 0.5})
+    moving = arm.run(
+        0.6,
+        {"joint3": -0.8, "joint4": 0.5},
+    )
     assert np.abs(moving).max() < 0.12
     assert np.abs(arm.run(1.0)[-20:]).max() < 0.03
 
@@ -178,10 +181,16 @@ def test_what_is_no_number_is_passed_over_and_a_far_joint_is_lost() -> None:
     here = dict.fromkeys(JOINTS, 0.0)
     time_s = rest(hold, here)
     hold.begin()
-    hold.observe(time_s + 0.002, {**here, "joint1": math.nan})
+    hold.observe(
+        time_s + 0.002,
+        {**here, "joint1": math.nan},
+    )
     assert all(math.isfinite(effort) for effort in hold.efforts({}).values())
     for step in range(1, 60):
-        hold.observe(time_s + 0.1 * step, {**here, "joint1": 0.01 * step})
+        hold.observe(
+            time_s + 0.1 * step,
+            {**here, "joint1": 0.01 * step},
+        )
     assert hold._position["joint1"] > LOST_RAD
     assert hold.efforts({}) == dict.fromkeys(JOINTS, 0.0)
     assert "joint1" in hold.lost
@@ -202,7 +211,10 @@ def test_a_joint_that_was_pushed_has_as_long_to_come_back_as_its_hold_is_soft(
     hold.efforts({"joint2": 0.1})
     away = {**here, "joint2": 0.7}
     for step in range(1, 51):  # within a tenth of a second
-        hold.observe(time_s + 0.002 * step, {**here, "joint2": 0.014 * step})
+        hold.observe(
+            time_s + 0.002 * step,
+            {**here, "joint2": 0.014 * step},
+        )
         hold.efforts({"joint2": 0.1})
     rest(hold, away, after_s, time_s + 0.1)
     hold.efforts({})
@@ -321,7 +333,10 @@ def test_a_joint_that_is_lost_after_a_pause_says_how_long_it_was(pause_s: float,
     hold.begin()
     hold.observe(time_s, here)
     for number in range(1, 6):  # 20 rad/s
-        hold.observe(time_s + 0.002 * number, {**here, "joint2": 0.04 * number})
+        hold.observe(
+            time_s + 0.002 * number,
+            {**here, "joint2": 0.04 * number},
+        )
     assert not any(hold.efforts({}).values())
     assert "joint2 moves at" in hold.lost
     assert said in hold.lost

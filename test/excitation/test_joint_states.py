@@ -24,7 +24,11 @@ def test_what_the_driver_states_is_what_the_machine_gets() -> None:
     assert sample.velocity == {"joint1": 1.0, "joint2": 2.0, "gripper": 3.0}
 
 
-@pytest.mark.parametrize("velocity", [[math.nan] * 3, []], ids=["nan", "none"])
+@pytest.mark.parametrize(
+    "velocity",
+    [[math.nan] * 3, []],
+    ids=["nan", "none"],
+)
 def test_velocities_that_are_not_stated_follow_from_the_positions(velocity: list[float]) -> None:
     states = JointStates(ARM, 0.1)
     for row in range(11):  # 2 rad/s, and every second message comes right after the one before

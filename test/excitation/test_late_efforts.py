@@ -84,7 +84,11 @@ class Desk:
         return cut_runs(
             Recording(
                 "late",
-                JointRecord(np.array(stamps), BROADCAST, np.array(places)),
+                JointRecord(
+                    np.array(stamps),
+                    BROADCAST,
+                    np.array(places),
+                ),
                 drives,
             ),
             joints=list(JOINTS),

@@ -209,7 +209,10 @@ def test_a_calibrations_runs(rate_hz: float) -> None:
 
 @pytest.mark.parametrize("rate_hz", [100.0, 40.0])
 def test_goals_begin_at_the_measured_pose_and_keep_the_speed(rate_hz: float) -> None:
-    sequence = replace(load_sequence("payload", ROBOT), home={**HOME, GRIPPER: 0.012})
+    sequence = replace(
+        load_sequence("payload", ROBOT),
+        home={**HOME, GRIPPER: 0.012},
+    )
     machine = ExcitationMachine(ROBOT)
     arm = Arm(HOME)
     measured = arm.sample()
@@ -276,7 +279,10 @@ def test_a_run_that_moves_too_little_is_made_with_more_current_until_it_moves() 
     )
     machine = ExcitationMachine(ROBOT)
     arm = Arm(HOME, friction=0.03)
-    machine.start(replace(QUICK, runs=(run,)), arm.sample())
+    machine.start(
+        replace(QUICK, runs=(run,)),
+        arm.sample(),
+    )
     ticks = drive(machine, arm, 100.0)
     tried = [outcome.current_A for outcome in machine.outcomes]
     assert len(tried) >= 2
@@ -307,7 +313,10 @@ def test_raising_ends_at_the_largest_current_and_says_so() -> None:
     machine = ExcitationMachine(ROBOT)
     arm = Arm(HOME, friction=0.8)
     machine.start(
-        replace(QUICK, runs=(stuck, ExcitationRun("joint1", 0.55, 0.3))),
+        replace(
+            QUICK,
+            runs=(stuck, ExcitationRun("joint1", 0.55, 0.3)),
+        ),
         arm.sample(),
     )
     drive(machine, arm, 100.0)
@@ -328,7 +337,10 @@ def test_a_lowering_run_is_eased() -> None:
     )
     machine = ExcitationMachine(ROBOT)
     arm = Arm(HOME)
-    machine.start(replace(QUICK, runs=(held,)), arm.sample())
+    machine.start(
+        replace(QUICK, runs=(held,)),
+        arm.sample(),
+    )
     drive(machine, arm, 100.0)
     tried = [outcome.current_A for outcome in machine.outcomes]
     assert len(tried) >= 2
@@ -352,7 +364,10 @@ SHAKE = ExcitationRun(
 
 def waves(ticks: list[Tick]) -> list[list[float]]:
     """The currents of joint4, attempt by attempt."""
-    stretches = itertools.groupby(ticks, key=lambda tick: tick.phase is Phase.PROBE)
+    stretches = itertools.groupby(
+        ticks,
+        key=lambda tick: tick.phase is Phase.PROBE,
+    )
     return [
         [tick.command.current_A["joint4"] for tick in group]
         for pushing, group in stretches
@@ -365,7 +380,10 @@ def test_a_shaken_joint_gets_a_square_wave_that_begins_with_its_first_half(sign:
     machine = ExcitationMachine(ROBOT)
     arm = Arm(HOME)
     machine.start(
-        replace(QUICK, runs=(replace(SHAKE, shake_A=sign * 0.12),)),
+        replace(
+            QUICK,
+            runs=(replace(SHAKE, shake_A=sign * 0.12),),
+        ),
         arm.sample(),
     )
     ticks = drive(machine, arm, 40.0)
@@ -379,7 +397,10 @@ def test_a_shaken_joint_gets_a_square_wave_that_begins_with_its_first_half(sign:
 
 def test_halves_of_a_wave_are_equal_although_ticks_are_not() -> None:
     """Ticks come up to 3 ms early or late."""
-    ready = bench(Phase.PROBE, replace(QUICK, runs=(SHAKE,)))
+    ready = bench(
+        Phase.PROBE,
+        replace(QUICK, runs=(SHAKE,)),
+    )
     currents = [ready.machine.command.current_A["joint4"]]
     ticks_s = itertools.cycle([0.027, 0.022, 0.025, 0.028, 0.023])
     while ready.machine.phase is Phase.PROBE:
@@ -410,7 +431,10 @@ def test_another_attempt_changes_the_mean_of_a_wave_and_not_its_size() -> None:
     )
     machine = ExcitationMachine(ROBOT)
     arm = Arm(HOME, friction=0.8)
-    machine.start(replace(QUICK, runs=(stuck,)), arm.sample())
+    machine.start(
+        replace(QUICK, runs=(stuck,)),
+        arm.sample(),
+    )
     ticks = drive(machine, arm, 100.0)
     assert [outcome.current_A for outcome in machine.outcomes] == pytest.approx(
         [-0.08, -0.12, -0.15]
@@ -421,14 +445,20 @@ def test_another_attempt_changes_the_mean_of_a_wave_and_not_its_size() -> None:
 
 
 def test_a_shaken_joint_is_guarded_like_a_pushed_one() -> None:
-    sequence = replace(QUICK, runs=(replace(SHAKE, joint="joint3"),))
+    sequence = replace(
+        QUICK,
+        runs=(replace(SHAKE, joint="joint3"),),
+    )
     for change, ended_by, words in MISHAPS.values():
         ready = bench(Phase.PROBE, sequence)
         ready.tick()
         assert_stopped(ready, ready.tick(**change), ended_by, words)
     ready = bench(
         Phase.PROBE,
-        replace(QUICK, runs=(replace(SHAKE, max_travel=0.1),)),
+        replace(
+            QUICK,
+            runs=(replace(SHAKE, max_travel=0.1),),
+        ),
     )
     assert ready.tick(joint4=HOME["joint4"] + 0.09).current_A
     assert not ready.tick(joint4=HOME["joint4"] + 0.11).current_A
@@ -509,7 +539,10 @@ def test_the_gripper_counts_in_metres() -> None:
     )
     machine = ExcitationMachine(ROBOT)
     arm = Arm(HOME)
-    machine.start(replace(QUICK, runs=(run,)), arm.sample())
+    machine.start(
+        replace(QUICK, runs=(run,)),
+        arm.sample(),
+    )
     drive(machine, arm, 100.0)
     (outcome,) = machine.outcomes
     assert outcome.ended_by == "travel"
@@ -539,7 +572,10 @@ class Bench:
     def tick(self, later_s: float = 0.01, age_s: float = 0.0, **change: float) -> Command:
         """One tick with the positions of the last command; ``joint3=0.5`` moves a joint, ``joint3_v=1`` its velocity."""
         now_s = self.sample.time_s + later_s
-        position = {**self.sample.position, **self.machine.command.position}
+        position = {
+            **self.sample.position,
+            **self.machine.command.position,
+        }
         velocity = dict.fromkeys(JOINTS, 0.0)
         for name, value in change.items():
             if name.endswith("_v"):
@@ -571,7 +607,12 @@ def bench(
     raise AssertionError(f"never reached {phase}: {machine.message}")
 
 
-def assert_stopped(ready: Bench, command: Command, ended_by: str, words: str) -> None:
+def assert_stopped(
+    ready: Bench,
+    command: Command,
+    ended_by: str,
+    words: str,
+) -> None:
     machine = ready.machine
     check_command(machine, command, machine.phase)
     assert machine.phase is Phase.ABORTED
@@ -600,11 +641,19 @@ def pushed(
 
 MISHAPS: dict[str, tuple[dict[str, float], str, str]] = {
     "ahead of the time": ({"age_s": -0.2}, "clock", "ahead of the time"),
-    "the clock ran back": ({"later_s": -0.02, "age_s": -0.03}, "clock", "ran back"),
+    "the clock ran back": (
+        {"later_s": -0.02, "age_s": -0.03},
+        "clock",
+        "ran back",
+    ),
     "an old sample": ({"later_s": 0.01, "age_s": 0.05}, "clock", "older than"),
     "NaN": ({"joint2": math.nan}, "sample", "position of joint2 is nan"),
     "NaN velocity": ({"joint3_v": math.nan}, "sample", "velocity of joint3 is nan"),
-    "a jump": ({"joint3": HOME["joint3"] - 0.35}, "jump", "joint3 jumped by 0.35 rad"),
+    "a jump": (
+        {"joint3": HOME["joint3"] - 0.35},
+        "jump",
+        "joint3 jumped by 0.35 rad",
+    ),
     "too fast": ({"joint3_v": -6.5}, "velocity", "joint3 moves at 6.5 rad/s"),
     "another joint too fast": ({"joint1_v": 6.5}, "velocity", "joint1 moves"),
     "a finger too fast": (
@@ -834,7 +883,14 @@ def test_abort_without_a_sequence_does_nothing() -> None:
 def test_a_joint_that_does_not_follow(phase: Phase) -> None:
     sequence = replace(
         QUICK,
-        runs=(ExcitationRun("joint3", -0.3, 0.2, {"joint3": 0.6}),),
+        runs=(
+            ExcitationRun(
+                "joint3",
+                -0.3,
+                0.2,
+                {"joint3": 0.6},
+            ),
+        ),
         settle_s=1.0,
         brake_s=1.0,
         home=HOME,
@@ -869,7 +925,14 @@ def test_a_joint_that_follows_late_is_waited_for(late_s: float) -> None:
     machine.start(
         replace(
             QUICK,
-            runs=(ExcitationRun("joint3", -0.3, 0.2, {"joint1": 1.6}),),
+            runs=(
+                ExcitationRun(
+                    "joint3",
+                    -0.3,
+                    0.2,
+                    {"joint1": 1.6},
+                ),
+            ),
             approach_velocity=1.5,
         ),
         sample,
@@ -882,7 +945,10 @@ def test_a_joint_that_follows_late_is_waited_for(late_s: float) -> None:
             sample.time_s + 0.01, sent[-1 - round(late_s / 0.01)], dict.fromkeys(JOINTS, 0.0)
         )
         sent.append(machine.tick(sample.time_s, sample).position)
-        behind_rad = max(behind_rad, sent[-1]["joint1"] - sample.position["joint1"])
+        behind_rad = max(
+            behind_rad,
+            sent[-1]["joint1"] - sample.position["joint1"],
+        )
         took_s += 0.01
     assert machine.phase is Phase.SETTLE, machine.abort_reason
     assert behind_rad < 1.5 * Guards().follow_error_rad
@@ -923,7 +989,14 @@ def test_an_arm_that_is_pushed_and_one_that_is_limp() -> None:
     machine.start(
         replace(
             QUICK,
-            runs=(ExcitationRun("joint3", -0.3, 0.6, {"joint1": 1.0}),),
+            runs=(
+                ExcitationRun(
+                    "joint3",
+                    -0.3,
+                    0.6,
+                    {"joint1": 1.0},
+                ),
+            ),
         ),
         limp.sample(),
     )
@@ -968,17 +1041,28 @@ def test_what_cannot_start() -> None:
     assert machine.outcomes == []
 
 
-def lowest_goal(sequence: ExcitationSequence, pose: dict[str, float]) -> float:
+def lowest_goal(
+    sequence: ExcitationSequence,
+    pose: dict[str, float],
+) -> float:
     """Lowest clearance of all goals of the approach."""
     ready = bench(Phase.SETTLE, sequence, pose)
     machine = ExcitationMachine(ROBOT)
     machine.start(
         sequence,
-        JointSample(5.0, dict(pose), dict.fromkeys(JOINTS, 0.0)),
+        JointSample(
+            5.0,
+            dict(pose),
+            dict.fromkeys(JOINTS, 0.0),
+        ),
     )
     again = Bench(
         machine,
-        JointSample(5.0, dict(pose), dict.fromkeys(JOINTS, 0.0)),
+        JointSample(
+            5.0,
+            dict(pose),
+            dict.fromkeys(JOINTS, 0.0),
+        ),
     )
     heights = []
     while machine.phase is Phase.APPROACH:
@@ -1028,7 +1112,10 @@ def test_an_arm_that_lies_on_the_table_may_only_rise() -> None:
         ),
     )
     assert lowest_goal(rising, lying) >= clearance(ROBOT, lying) - 1e-3
-    staying = replace(QUICK, runs=(ExcitationRun(GRIPPER, -0.1, 0.5),))
+    staying = replace(
+        QUICK,
+        runs=(ExcitationRun(GRIPPER, -0.1, 0.5),),
+    )
     with pytest.raises(ExcitationError, match="higher pose by hand"):
         ExcitationMachine(ROBOT).start(
             staying,
@@ -1084,9 +1171,15 @@ def test_no_current_but_in_a_run_and_never_above_the_limit(
     now_s = 3.0
     position = dict(HOME)
     velocity = dict.fromkeys(JOINTS, 0.0)
-    machine.start(sequence, JointSample(now_s, dict(position), dict(velocity)))
+    machine.start(
+        sequence,
+        JointSample(now_s, dict(position), dict(velocity)),
+    )
     for kind, joint, size in steps:
-        now_s += {"late": 0.2, "back": -0.05}.get(kind, tick_s)
+        now_s += {"late": 0.2, "back": -0.05}.get(
+            kind,
+            tick_s,
+        )
         position.update(machine.command.position)
         if kind == "drift":
             position[joint] += 0.1 * size * ROBOT.drive_trains[joint].transmission

@@ -35,7 +35,11 @@ def written(tmp_path: Path, text: str) -> Path:
     return path
 
 
-def section(tmp_path: Path, run: str = RUN, more: str = "") -> Path:
+def section(
+    tmp_path: Path,
+    run: str = RUN,
+    more: str = "",
+) -> Path:
     return written(tmp_path, f"excitation:\n  hand: payload\n{more}  runs:\n    - {run}\n")
 
 
@@ -181,7 +185,14 @@ def test_a_file_of_the_users(robot: Robot, tmp_path: Path) -> None:
     assert sequence == ExcitationSequence(
         name="mine",
         hand="payload",
-        runs=(ExcitationRun("joint3", -0.3, 0.6, {"joint2": -1.4, "joint3": 0.6, "joint4": 0.0}),),
+        runs=(
+            ExcitationRun(
+                "joint3",
+                -0.3,
+                0.6,
+                {"joint2": -1.4, "joint3": 0.6, "joint4": 0.0},
+            ),
+        ),
         settle_s=2.0,
         home={"joint2": -1.0},
     )
@@ -261,7 +272,10 @@ def test_a_finger_has_a_travel_of_its_own(robot: Robot, tmp_path: Path) -> None:
     ],
 )
 def test_mistakes_in_a_run_get_one_line(
-    robot: Robot, tmp_path: Path, change: tuple[str, str], message: str
+    robot: Robot,
+    tmp_path: Path,
+    change: tuple[str, str],
+    message: str,
 ) -> None:
     assert change[0] in RUN
     with pytest.raises(ConfigurationError, match=message) as caught:
@@ -323,7 +337,16 @@ def test_sequences_made_in_code_are_checked_too(robot: Robot) -> None:
         replace(good, runs=(replace(good.runs[0], current_A=float("inf")),)),
         replace(good, runs=(replace(good.runs[0], max_current_A=float("nan")),)),
         replace(good, runs=(replace(good.runs[0], shake_A=float("nan")),)),
-        replace(good, runs=(replace(good.runs[0], shake_A=0.1, shake_period_s=float("nan")),)),
+        replace(
+            good,
+            runs=(
+                replace(
+                    good.runs[0],
+                    shake_A=0.1,
+                    shake_period_s=float("nan"),
+                ),
+            ),
+        ),
         replace(good, runs=(replace(good.runs[0], start={"joint3": float("nan")}),)),
     ):
         with pytest.raises(ConfigurationError):
@@ -347,7 +370,10 @@ def test_clearance_against_the_models_transforms() -> None:
         slid = [clearance(robot, {**pose, "gripper_left_joint": slide}) for slide in (-0.5, 0.5)]
         assert min(slid) < clearance(robot, pose) - 0.01
     with pytest.raises(RobotError, match="lacks the position of joint 'joint4'"):
-        clearance(robot, {name: 0.0 for name in robot.model.independent_joints if name != "joint4"})
+        clearance(
+            robot,
+            {name: 0.0 for name in robot.model.independent_joints if name != "joint4"},
+        )
 
 
 def test_a_sequence_is_like_another_but_for_what_it_states(robot: Robot, tmp_path: Path) -> None:

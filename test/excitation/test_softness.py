@@ -93,11 +93,19 @@ def until_sure(
     """The runs of a block that is squeezed until sure, and what was decided after each."""
     sequence = replace(load_sequence("block_until", ROBOT), until=until)
     chooser = probe_named("softness").chooser(
-        robot, SoftnessJob(BlockFacts(np.full(3, EDGE_M)), SqueezeOptions()), sequence
+        robot,
+        SoftnessJob(
+            BlockFacts(np.full(3, EDGE_M)),
+            SqueezeOptions(),
+        ),
+        sequence,
     )
     began = hand.time_s
     decisions = []
-    machine, runs, _ = made(replace(sequence, until=None), hand)
+    machine, runs, _ = made(
+        replace(sequence, until=None),
+        hand,
+    )
     assert machine.phase is Phase.DONE, machine.message
     while True:
         decisions.append(

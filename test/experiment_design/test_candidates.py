@@ -51,7 +51,11 @@ def test_start_poses_keep_off_the_limits_and_the_plane(robot: Robot) -> None:
 
 
 def test_every_current_moves_whatever_of_the_masses_it_carries(robot: Robot) -> None:
-    run = prepare_run(robot, still_run("joint3", POSE, 0.01, 0.6), KnownLoad())
+    run = prepare_run(
+        robot,
+        still_run("joint3", POSE, 0.01, 0.6),
+        KnownLoad(),
+    )
     facts = PayloadFacts()
     masses = (0.0, 0.1)
     found = list(currents_beyond(run, facts, masses))
@@ -69,7 +73,11 @@ def test_every_current_moves_whatever_of_the_masses_it_carries(robot: Robot) -> 
 
 
 def test_open_friction_is_half_as_large_as_it_may_be(robot: Robot) -> None:
-    run = prepare_run(robot, still_run("joint3", POSE, 0.01, 0.6), KnownLoad())
+    run = prepare_run(
+        robot,
+        still_run("joint3", POSE, 0.01, 0.6),
+        KnownLoad(),
+    )
     problem = Problem(
         robot,
         [run],

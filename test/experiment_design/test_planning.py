@@ -66,7 +66,11 @@ def test_only_a_calibration_that_holds_gets_advice(estimate: CalibrationEstimate
         advised = with_advice(robot, other)
         assert not advised.advice and advised.weighable is None
     said: list[str] = []
-    refreshed = with_advice(robot, replace(estimate, whole=None), progress=said.append)
+    refreshed = with_advice(
+        robot,
+        replace(estimate, whole=None),
+        progress=said.append,
+    )
     assert (
         not refreshed.advice
         and refreshed.weighable is not None
@@ -74,7 +78,11 @@ def test_only_a_calibration_that_holds_gets_advice(estimate: CalibrationEstimate
     )
     assert estimate.calibration is not None
     upwards = dict.fromkeys(estimate.calibration.joints, True)
-    one_way = with_advice(robot, replace(estimate, driven_one_way=upwards), count=2)
+    one_way = with_advice(
+        robot,
+        replace(estimate, driven_one_way=upwards),
+        count=2,
+    )
     assert len(one_way.advice) == 2 and all(plan.travel[0] < 0.0 for plan in one_way.advice)
 
 
@@ -128,7 +136,17 @@ def test_a_plan_promises_what_the_weighing_gives(bags: Path, plans: list[Excitat
         recording = record(hidden, joint, start, current, 0.6, load, rng)
         return cut_runs(recording, joints=[*JOINTS, GRIPPER])[0]
 
-    known = [LoadedRun(run_of(p.joint, p.start, p.current_A, None)) for p in EMPTY_PROBES]
+    known = [
+        LoadedRun(
+            run_of(
+                p.joint,
+                p.start,
+                p.current_A,
+                None,
+            )
+        )
+        for p in EMPTY_PROBES
+    ]
     learnt = calibrate(robot, known).calibration
     assert learnt is not None
     arm = robot.with_calibration(learnt)
@@ -247,7 +265,10 @@ def test_the_command(capsys: pytest.CaptureFixture[str]) -> None:
         ["--mass", "0.1", "--count", "0"],
     ],
 )
-def test_mistakes_get_one_line(capsys: pytest.CaptureFixture[str], arguments: list[str]) -> None:
+def test_mistakes_get_one_line(
+    capsys: pytest.CaptureFixture[str],
+    arguments: list[str],
+) -> None:
     assert main(["plan", *arguments]) == 2
     lines = capsys.readouterr().err.strip().splitlines()
     assert len(lines) == 1 and lines[0].startswith("proprio: --")
@@ -346,7 +367,12 @@ def test_the_command_interrupted_prints_the_best_so_far(seven: Path) -> None:
 
 def test_a_mass_that_nothing_tells_is_no_plan() -> None:
     """The flange of a UR5e turns about its own axis: an object in the middle of it changes nothing."""
-    plans = plan(load_robot("ur5e"), [0.05], count=20, seconds=2.0)
+    plans = plan(
+        load_robot("ur5e"),
+        [0.05],
+        count=20,
+        seconds=2.0,
+    )
     assert plans and all(
         entry.joint != "wrist_3_joint" and entry.std_kg[0] > 1e-3 for entry in plans
     )

@@ -116,7 +116,10 @@ def paper_hand_facts() -> Any:
 class Weighing(Hand):
     """The arm, and a weighing of what it holds."""
 
-    def weigh(self, until: Until) -> tuple[UntilSure, list[Decision]]:
+    def weigh(
+        self,
+        until: Until,
+    ) -> tuple[UntilSure, list[Decision]]:
         sequence = replace(load_sequence("payload_until", self.robot), until=until)
         chooser = UntilSure(self.robot, paper_hand_facts(), sequence)
         began = self.time_s

@@ -14,7 +14,11 @@ def test_few_runs_leave_the_files_word_and_many_replace_it() -> None:
     rng = np.random.default_rng(4)
     found = rng.normal(0.0, 0.3, 4000)
     assert spread_of_runs(0.1, found, np.ones(4000)) == pytest.approx(0.3, rel=0.03)
-    assert spread_of_runs(0.1, np.zeros(0), np.zeros(0)) == pytest.approx(0.1)
+    assert spread_of_runs(
+        0.1,
+        np.zeros(0),
+        np.zeros(0),
+    ) == pytest.approx(0.1)
     assert spread_of_runs(0.1, np.zeros(2), np.ones(2)) == pytest.approx(
         0.1 * np.sqrt(PSEUDO_RUNS / (PSEUDO_RUNS + 2.0))
     )

@@ -26,7 +26,11 @@ def robot() -> Robot:
 
 
 def test_the_arm_is_the_sum_of_its_links(robot: Robot) -> None:
-    found = arm_coefficients(robot, still_run("joint3", POSE, 0.1, 0.6), LOCKED)
+    found = arm_coefficients(
+        robot,
+        still_run("joint3", POSE, 0.1, 0.6),
+        LOCKED,
+    )
     by_mass = [
         row
         for key, row in zip(found.links, found.arm_by_link, strict=True)

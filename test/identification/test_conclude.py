@@ -104,7 +104,10 @@ def fits_of(robot: Robot, bags: Path, *names: str) -> tuple[FitResult, FitResult
     runs = [
         prepare_run(robot, *bag_runs(bags / name / "bag_mcap", Request(robot))) for name in names
     ]
-    return fit_both(partial(solve_load, robot, runs, PayloadFacts(), OPTIONS), unexplained)
+    return fit_both(
+        partial(solve_load, robot, runs, PayloadFacts(), OPTIONS),
+        unexplained,
+    )
 
 
 @pytest.fixture(scope="module")
@@ -113,12 +116,18 @@ def robot() -> Robot:
 
 
 @pytest.fixture(scope="module")
-def fits(robot: Robot, bags: Path) -> tuple[FitResult, FitResult]:
+def fits(
+    robot: Robot,
+    bags: Path,
+) -> tuple[FitResult, FitResult]:
     return fits_of(robot, bags, HEAVY)
 
 
 @pytest.fixture(scope="module")
-def two(robot: Robot, bags: Path) -> tuple[FitResult, FitResult]:
+def two(
+    robot: Robot,
+    bags: Path,
+) -> tuple[FitResult, FitResult]:
     """Two objects as if they were one, of a robot that is known well: what its file leaves open would explain both."""
 
     def known(quantity: Quantity) -> Quantity:
@@ -134,7 +143,12 @@ def two(robot: Robot, bags: Path) -> tuple[FitResult, FitResult]:
         "link_mass_std": 0.0,
         "link_com_std": 0.0,
     }
-    return fits_of(replace(robot, drive_trains=drives, **exact), bags, HEAVY, LIGHT)
+    return fits_of(
+        replace(robot, drive_trains=drives, **exact),
+        bags,
+        HEAVY,
+        LIGHT,
+    )
 
 
 def test_an_answer_is_widened_by_what_the_probe_adds_and_by_what_was_guessed(
@@ -144,7 +158,13 @@ def test_an_answer_is_widened_by_what_the_probe_adds_and_by_what_was_guessed(
     std = plain.values[0].std
     assert isinstance(std, float) and plain.verdict is Verdict.ACCEPTED
     guesses = [Guess("a.size", "30 mm", "3 mm", 12.0 * std)]
-    wider = Weighed(*fits, Findings(), 1, own=4.0 * std, guessed=guesses).estimate()
+    wider = Weighed(
+        *fits,
+        Findings(),
+        1,
+        own=4.0 * std,
+        guessed=guesses,
+    ).estimate()
     assert wider.values[0].value == plain.values[0].value
     assert wider.values[0].std == pytest.approx(np.sqrt(1.0 + 16.0 + 144.0) * std)
     assert wider.budget[:2] == (("a.size, guessed", 12.0 * std), ("spring", 4.0 * std))
@@ -155,7 +175,13 @@ def test_an_answer_is_widened_by_what_the_probe_adds_and_by_what_was_guessed(
 def test_reasons_come_in_one_order(fits: tuple[FitResult, FitResult]) -> None:
     found = Findings(["seen on the way"], ["a note"])
     guesses = [Guess("a.size", "30 mm", "3 mm", 0.01)]
-    estimate = Weighed(*fits, found, 3, guessed=guesses, wide=Useful(1e-3)).estimate()
+    estimate = Weighed(
+        *fits,
+        found,
+        3,
+        guessed=guesses,
+        wide=Useful(1e-3),
+    ).estimate()
     assert estimate.verdict is Verdict.TOO_WIDE and estimate.values[0].value is not None
     codes = reason_codes(estimate.reasons)
     assert codes == ["too_wide", "other", "guessed_facts", "other", "not_calibrated"]
@@ -220,7 +246,15 @@ def test_runs_that_contradict_each_other_are_refused(two: tuple[FitResult, FitRe
 def test_runs_that_differ_little_widen_the_interval_and_are_named(
     two: tuple[FitResult, FitResult],
 ) -> None:
-    alone, both = (Weighed(*two, Findings(), 2, half=half) for half in (0.0, 0.02))
+    alone, both = (
+        Weighed(
+            *two,
+            Findings(),
+            2,
+            half=half,
+        )
+        for half in (0.0, 0.02)
+    )
     for conclusion in (alone, both):
         conclusion.estimate()
     assert both.assessed.std == pytest.approx(np.hypot(alone.assessed.std, 0.02))

@@ -92,7 +92,11 @@ def test_the_budget_adds_up_to_the_variance(fit: FitResult) -> None:
     assert stds == sorted(stds, reverse=True) and ENCODER in dict(budget)
     whole = fit.determined("payload_mass")[1] ** 2
     assert sum(std**2 for std in stds) == pytest.approx(whole, rel=1e-6)
-    (reason,) = uncalibrated(fit.problem.robot, fit.problem.runs, budget)
+    (reason,) = uncalibrated(
+        fit.problem.robot,
+        fit.problem.runs,
+        budget,
+    )
     assert (
         "has not been calibrated" in reason
         and f"{1e3 * max(s for n, s in budget if n != ENCODER):.1f} g" in reason
@@ -125,7 +129,11 @@ def test_shares_of_correlated_groups_are_their_shapley_values(seed: int) -> None
             known = [*known, *groups[name]]
             expected[name] += (before - variance(known)) / len(orders)
     # without samples, the covariance of the result with each unknown is the prior's
-    shares = _split(prior @ weights, np.linalg.inv(prior), groups)
+    shares = _split(
+        prior @ weights,
+        np.linalg.inv(prior),
+        groups,
+    )
     assert shares == pytest.approx(expected, rel=1e-6)
     assert sum(shares.values()) == pytest.approx(variance([]), rel=1e-6)
 

@@ -52,7 +52,10 @@ def lift(bags: Path, robot: Robot) -> Run:
 def shrunk(run: Run, factor: float) -> Run:
     """The same run with less travel."""
     rest = float(np.mean(run.before_position))
-    return replace(run, position=rest + factor * (run.position - rest))
+    return replace(
+        run,
+        position=rest + factor * (run.position - rest),
+    )
 
 
 def test_a_good_run_gives_no_reason(calibrated: Robot, lift: Run) -> None:
@@ -104,7 +107,10 @@ def test_joint_limit(calibrated: Robot, lift: Run) -> None:
     up = 2.0 * rest - lift.position  # lifted the other way, so that it meets the upper stop
     moved = replace(
         lift,
-        position=np.minimum(up + (stop - up[-4]), stop),
+        position=np.minimum(
+            up + (stop - up[-4]),
+            stop,
+        ),
         before_position=2.0 * rest - lift.before_position + (stop - up[-4]),
     )
     estimate = weigh(calibrated, [moved])
@@ -214,7 +220,10 @@ def test_runs_that_say_nearly_the_same_do_not_contradict_each_other(
     ]
     weaker = [
         *runs[:2],
-        replace(runs[2], input_current_A=1.01 * runs[2].input_current_A),
+        replace(
+            runs[2],
+            input_current_A=1.01 * runs[2].input_current_A,
+        ),
     ]
     nearly = weigh(sure, weaker)
     (sentence,) = (reason for reason in nearly.reasons if "differs from the other runs" in reason)
@@ -225,7 +234,10 @@ def test_runs_that_say_nearly_the_same_do_not_contradict_each_other(
     assert nearly.verdict is Verdict.ACCEPTED and 2.0 < abs(one - others) < 5.0
     assert mass.std > 0.5e-3 * abs(one - others) and mass.ci95[0] < 0.1 < mass.ci95[1]
     stronger = [
-        replace(runs[0], input_current_A=1.03 * runs[0].input_current_A),
+        replace(
+            runs[0],
+            input_current_A=1.03 * runs[0].input_current_A,
+        ),
         *runs[1:],
     ]
     other = weigh(sure, stronger)
@@ -272,9 +284,16 @@ def test_uneven_stamps_are_named_where_the_recording_is_rejected(
 ) -> None:
     rng = np.random.default_rng(3)
     inner = lift.times_s[1:-1]
-    shaken = inner + rng.uniform(-0.4, 0.4, len(inner)) * float(np.median(np.diff(inner)))
+    shaken = inner + rng.uniform(
+        -0.4,
+        0.4,
+        len(inner),
+    ) * float(np.median(np.diff(inner)))
     times_s = np.concatenate([lift.times_s[:1], shaken, lift.times_s[-1:]])
-    estimate = weigh(calibrated, [replace(lift, name="uneven", times_s=times_s)])
+    estimate = weigh(
+        calibrated,
+        [replace(lift, name="uneven", times_s=times_s)],
+    )
     last = estimate.reasons[-1]
     assert estimate.verdict is Verdict.REJECTED and last.code == "uneven", estimate.reasons
     assert last.startswith("uneven: the joint states come every ") and " ms and scatter by " in last
@@ -318,7 +337,10 @@ def test_a_mass_on_the_bound_of_the_search() -> None:
 def test_lighter_than_empty(calibrated: Robot, bags: Path, robot: Robot) -> None:
     """An empty hand that lifts a sixth faster than it did when the robot was calibrated."""
     empty = run_of(bags, "realistic_s00_empty_02_joint3", robot)
-    estimate = weigh(calibrated, [replace(shrunk(empty, 1.15), reported_effort=None)])
+    estimate = weigh(
+        calibrated,
+        [replace(shrunk(empty, 1.15), reported_effort=None)],
+    )
     assert estimate.verdict is Verdict.REJECTED and estimate.value("payload_mass").value is None
     assert (
         " g lighter than it was empty" in estimate.reasons[0]

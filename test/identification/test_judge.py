@@ -70,7 +70,14 @@ def weighed(robot: Robot, run: Run) -> FitResult:
     runs = [prepare_run(robot, run)]
 
     def solve(role: Role, start: FitResult | None = None) -> FitResult:
-        return solve_load(robot, runs, PayloadFacts(), SearchOptions(), role, start)
+        return solve_load(
+            robot,
+            runs,
+            PayloadFacts(),
+            SearchOptions(),
+            role,
+            start,
+        )
 
     return fit_both(solve, unexplained)[1]
 
@@ -143,7 +150,10 @@ def test_stamps_that_do_not_fit_come_before_all_else(
         before_position=position[~during],
         reported_effort=None,
     )
-    refusal = judge([other], Assessment(weighed(robot, late), NAME))
+    refusal = judge(
+        [other],
+        Assessment(weighed(robot, late), NAME),
+    )
     assert refusal.verdict is Verdict.REJECTED and "stamped" in refusal.withheld
     codes = reason_codes(refusal.reasons)
     assert codes[0] == "stamps_off" and ("misfit" in codes) is (other is MISFIT)
@@ -181,7 +191,11 @@ def test_a_wide_interval_is_a_verdict_that_keeps_the_value(fit: FitResult) -> No
     mass = assessed.value
     useful = Useful(0.5, 0.005)
     assessed.widen(mass)  # then it may as well be nothing
-    (refusal,) = too_wide(assessed, useful, [("torque_constant[joint3]", mass)])
+    (refusal,) = too_wide(
+        assessed,
+        useful,
+        [("torque_constant[joint3]", mass)],
+    )
     assert refusal.verdict is Verdict.TOO_WIDE and not refusal.withheld
     (sentence,) = refusal.reasons
     assert (
@@ -247,7 +261,11 @@ def test_guesses_are_named_with_what_they_cost_together() -> None:
 # --- a busy computer --------------------------------------------------------------------------------------------------
 
 
-def at_times(robot: Robot, run: Run, times_s: np.ndarray) -> PreparedRun:
+def at_times(
+    robot: Robot,
+    run: Run,
+    times_s: np.ndarray,
+) -> PreparedRun:
     return prepare_run(
         robot,
         replace(

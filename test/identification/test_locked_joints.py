@@ -52,7 +52,10 @@ def test_a_known_motion_is_read_back() -> None:
     inner = slice(12, -3)
     rate = 0.02 * np.exp(-((since / 0.25) ** 2)) * 2.0 * since / 0.25**2
     assert np.sqrt(np.mean((velocity - rate)[inner] ** 2)) < 0.012
-    bend = np.gradient(rate, since + 1e-9 * np.arange(len(since)))
+    bend = np.gradient(
+        rate,
+        since + 1e-9 * np.arange(len(since)),
+    )
     assert np.sqrt(np.mean((acceleration - bend)[inner] ** 2)) < 0.2  # of up to 0.6 rad/s^2
 
 
@@ -116,7 +119,7 @@ def test_what_a_held_joint_did_before_it_came_to_rest_is_no_yielding() -> None:
     """12 mrad, half a second before the push: it was taken for a jump at the onset, whose torque bent all that was learnt."""
     robot = load_robot("open_manipulator_x")
     robot = replace(robot, drive_trains={
-        name: replace(drive, encoder_resolution=1.5e-3, encoder_noise=1e-3) for name, drive in robot.drive_trains.items()
+        name: replace(drive, encoder_resolution=1.5e-3, encoder_noise=1e-3,) for name, drive in robot.drive_trains.items()
     })  # fmt: skip
     since = np.maximum(FINE_TIMES, 0.0)
     yields = 0.3 + 0.1 * since**2
@@ -130,7 +133,11 @@ def test_what_a_held_joint_did_before_it_came_to_rest_is_no_yielding() -> None:
     )  # fmt: skip
     motion = locked_motions(robot, run, ("joint2",))[1]["joint2"]
     away, _, acceleration = motion.at(since[~before])
-    np.testing.assert_allclose(motion.start + away, yields[~before], atol=3e-4)
+    np.testing.assert_allclose(
+        motion.start + away,
+        yields[~before],
+        atol=3e-4,
+    )
     assert np.abs(acceleration[5:-5] - 0.2).max() < 0.15  # 4 rad/s^2, if it had to jump
     still = fine(0.3 - np.where(FINE_TIMES < -0.5, 0.094, 0.0))
     run = replace(
@@ -247,17 +254,43 @@ def test_the_torque_of_a_motion_of_all_joints(mujoco_arm, joint: str) -> None:
     rng = np.random.default_rng(8)
     q, v, a = rng.uniform(-1.0, 1.0, (3, 6, 4)) * np.array([1.0, 2.0, 10.0])[:, None, None]
     fingers = {"gripper_left_joint": 0.004, "gripper_right_joint": 0.004}
-    model = robot.model.lock(arm_joints, {"gripper_left_joint": 0.004}, robot.gravity)
+    model = robot.model.lock(
+        arm_joints,
+        {"gripper_left_joint": 0.004},
+        robot.gravity,
+    )
     row = model.joint_names.index(joint)
     motion = [(q[:, n], v[:, n], a[:, n]) for n in range(4)]
     empty = joint_torque(model, motion, row, model.pseudo_inertia[None])[:, 0]
     body, frame = model.frames[robot.payload_frame]
-    per_mass = payload_parameters(np.array(1.0), LOAD.com, LOAD.shape.second_moment_per_mass)
+    per_mass = payload_parameters(
+        np.array(1.0),
+        LOAD.com,
+        LOAD.shape.second_moment_per_mass,
+    )
     loaded = model.pseudo_inertia.copy()
-    loaded[body] += 0.08 * frame @ np.tensordot(per_mass, pseudo_inertia_basis(), axes=1) @ frame.T
+    loaded[body] += (
+        0.08
+        * frame
+        @ np.tensordot(
+            per_mass,
+            pseudo_inertia_basis(),
+            axes=1,
+        )
+        @ frame.T
+    )
     total = joint_torque(model, motion, row, loaded[None])[:, 0]
     for t in range(len(q)):
-        state = [dict(zip(arm_joints, values[t].tolist(), strict=True)) for values in (q, v, a)]
+        state = [
+            dict(
+                zip(
+                    arm_joints,
+                    values[t].tolist(),
+                    strict=True,
+                )
+            )
+            for values in (q, v, a)
+        ]
         expected = inverse_dynamics(
             mujoco_arm,
             joint,
@@ -297,5 +330,17 @@ def test_the_load_of_yielding_joints_is_the_difference_of_two_motions(
                 position[name] = motion.start + away * live
                 velocity[name], acceleration[name] = rate * live, bend * live
             position["gripper_right_joint"] = position["gripper_left_joint"]
-            states.append(inverse_dynamics(mujoco_arm, run.joint, position, velocity, acceleration))
-        assert loads[t] @ [1.0, 0.08] == pytest.approx(states[0] - states[1], rel=1e-6, abs=1e-9)
+            states.append(
+                inverse_dynamics(
+                    mujoco_arm,
+                    run.joint,
+                    position,
+                    velocity,
+                    acceleration,
+                )
+            )
+        assert loads[t] @ [1.0, 0.08] == pytest.approx(
+            states[0] - states[1],
+            rel=1e-6,
+            abs=1e-9,
+        )

@@ -68,7 +68,10 @@ def test_held_out_residuals_are_those_of_a_fit_without_the_run(fitted) -> None:
         for unknown, value in zip(small.unknowns, found, strict=True):
             if unknown.shared:
                 predicted[problem.index[unknown.key]] = value
-        q, _, _ = problem.simulate(predicted[None], problem.free)
+        q, _, _ = problem.simulate(
+            predicted[None],
+            problem.free,
+        )
         used = prepared[out].used
         expected = prepared[out].position - q[0, out, :used]
         residual, chi2 = posterior.held_out(out)
@@ -87,10 +90,22 @@ def test_a_fit_that_ends_near_its_least_cost_predicts_runs_as_the_best_one_does(
     """A tenth of a standard deviation away; of what only one run determines, that little made a contradiction of a million."""
     _, prepared, problem, values = fitted
     start = problem.coordinates.internal(values[problem.free])[None]
-    found = solvers.levenberg_marquardt(problem, start, None, iterations=100, tolerance=1e-8)
+    found = solvers.levenberg_marquardt(
+        problem,
+        start,
+        None,
+        iterations=100,
+        tolerance=1e-8,
+    )
     best = problem.all_values(problem.coordinates.physical(found.internal))[0]
     known = Posterior(problem, best)
-    stds = dict(zip(problem.free.tolist(), np.sqrt(np.diag(known.covariance)), strict=True))
+    stds = dict(
+        zip(
+            problem.free.tolist(),
+            np.sqrt(np.diag(known.covariance)),
+            strict=True,
+        )
+    )
     near = best.copy()
     for row, unknown in enumerate(problem.unknowns):
         if unknown.kind == kind:

@@ -67,7 +67,11 @@ def problem() -> Problem:
 def points(problem: Problem, count: int) -> np.ndarray:
     rng = np.random.default_rng(5)
     stds = np.array([u.std if np.isfinite(u.std) else 0.02 for u in problem.unknowns])
-    draw = problem.base + 0.5 * stds * rng.uniform(-1.0, 1.0, (count, len(problem.base)))
+    draw = problem.base + 0.5 * stds * rng.uniform(
+        -1.0,
+        1.0,
+        (count, len(problem.base)),
+    )
     return np.clip(
         draw,
         [u.lower for u in problem.unknowns],
@@ -125,7 +129,11 @@ def test_jacobian_against_the_tape(problem: Problem) -> None:
             np.arange(len(problem.runs)),
             p[0],
         )
-        gradient = np.einsum("rp,rpn->n", taped.gradient(weights), dp[0])
+        gradient = np.einsum(
+            "rp,rpn->n",
+            taped.gradient(weights),
+            dp[0],
+        )
         expected = np.einsum(
             "rt,rtn->n",
             weights,
@@ -157,9 +165,11 @@ def test_gradient_and_matrix_belong_to_the_cost(problem: Problem) -> None:
             difference = (cost[0] - 8.0 * cost[1] + 8.0 * cost[2] - cost[3]) / (12.0 * step)
             # the cost is a sum of many squares: its difference loses digits that the gradient keeps
             rounding = 1e-14 * cost.max() / step
-            assert difference == pytest.approx(gradient[0, k], rel=1e-4, abs=rounding + 1e-6), (
-                problem.unknowns[k].name
-            )
+            assert difference == pytest.approx(
+                gradient[0, k],
+                rel=1e-4,
+                abs=rounding + 1e-6,
+            ), problem.unknowns[k].name
 
 
 def test_fewer_unknowns_take_the_affine_path_to_the_same_numbers(problem: Problem) -> None:
@@ -243,7 +253,10 @@ def test_jacobian_of_pooled_runs(pooled: Problem) -> None:
     """Unknowns of one run, of one joint, of the payload and of all: each moves just the runs it belongs to."""
     test_jacobian_against_central_differences(pooled)
     columns = np.arange(len(pooled.unknowns))
-    _, _, exact = pooled.simulate(points(pooled, 1), columns)
+    _, _, exact = pooled.simulate(
+        points(pooled, 1),
+        columns,
+    )
     moves = np.abs(exact[0]).max(axis=1) > 0.0  # run by unknown
     at = pooled.index
     assert moves[:, at["payload_mass"]].tolist() == [True, False, False]

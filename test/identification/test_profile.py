@@ -37,7 +37,14 @@ def weighed(robot: Robot, bag: Path) -> FitResult:
     prepared = [prepare_run(robot, run)]
     facts = PayloadFacts()
     nominal = solve_load(robot, prepared, facts, SearchOptions(), Role.FROZEN)
-    return solve_load(robot, prepared, facts, SearchOptions(), Role.FREE, start=nominal)
+    return solve_load(
+        robot,
+        prepared,
+        facts,
+        SearchOptions(),
+        Role.FREE,
+        start=nominal,
+    )
 
 
 @pytest.fixture(scope="module")
@@ -52,7 +59,12 @@ def opened(bags: Path) -> FitResult:
 def arm(bags: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     output = tmp_path_factory.mktemp("profile") / "arm.yaml"
     folders = sorted(bags.glob("realistic_s00_empty_0[0-5]_*"))
-    calibrate_from_bags([folder / "bag_mcap" for folder in folders], {}, None, output)
+    calibrate_from_bags(
+        [folder / "bag_mcap" for folder in folders],
+        {},
+        None,
+        output,
+    )
     return output
 
 
@@ -61,7 +73,10 @@ def calibrated(bags: Path, arm: Path) -> Estimate:
     bag = bags / "realistic_s00_fixed_heavy_ball_50g_joint3" / "bag_mcap"
     return replay(
         [bag],
-        Options(calibration=arm, settings={"payload.com": [0.0, 0.0, 0.0]}),
+        Options(
+            calibration=arm,
+            settings={"payload.com": [0.0, 0.0, 0.0]},
+        ),
     )
 
 
@@ -69,7 +84,14 @@ def profile_of(
     fit: FitResult, inflation: float = 1.0, std: float = 0.02
 ) -> tuple[np.ndarray, np.ndarray]:
     posterior = Posterior(fit.problem, fit.values, inflation)
-    scan = misfit_profile(fit, "payload_mass", posterior, inflation, fit.values[0], std)
+    scan = misfit_profile(
+        fit,
+        "payload_mass",
+        posterior,
+        inflation,
+        fit.values[0],
+        std,
+    )
     return scan.values, scan.cost
 
 
@@ -88,13 +110,27 @@ def test_everything_else_is_fitted_again_at_each_mass(opened: FitResult) -> None
         held = Problem(problem.robot, problem.runs, PayloadFacts(), unknowns)
         start = held.coordinates.internal(opened.values[held.free][None])
         again = FitResult.of(
-            held, solvers.levenberg_marquardt(held, start, None, iterations=100, tolerance=1e-3)
+            held,
+            solvers.levenberg_marquardt(
+                held,
+                start,
+                None,
+                iterations=100,
+                tolerance=1e-3,
+            ),
         )
-        assert again.chi2 - opened.chi2 == pytest.approx(chi2[row], abs=0.05, rel=0.02)
+        assert again.chi2 - opened.chi2 == pytest.approx(
+            chi2[row],
+            abs=0.05,
+            rel=0.02,
+        )
     # with all else as fitted the same masses are out of the question: that was a needle in a wide band
     values = np.tile(opened.values, (2, 1))
     values[:, 0] = masses[chosen]
-    seen, _, _ = problem.simulate(values, problem.free[:1])
+    seen, _, _ = problem.simulate(
+        values,
+        problem.free[:1],
+    )
     slice_ = np.einsum(
         "srt,srt->s",
         *2 * [(seen - problem.measured) * problem.weight],
@@ -120,7 +156,11 @@ def test_coarser_samples_widen_it_as_they_widen_the_interval(bags: Path, arm: Pa
     alone = float(np.sqrt(Posterior(fit.problem, fit.values).whole_covariance()[0, 0]))
     assert alone * 1.05 < std < alone * np.sqrt(inflation) / 1.05, "the priors stay"
     masses, chi2 = profile_of(fit, inflation, 0.2 * std)  # so near that it is a parabola
-    assert chi2 == pytest.approx(((masses - fit.values[0]) / std) ** 2, rel=0.03, abs=0.002)
+    assert chi2 == pytest.approx(
+        ((masses - fit.values[0]) / std) ** 2,
+        rel=0.03,
+        abs=0.002,
+    )
 
 
 def test_a_profile_of_nothing_is_empty(opened: FitResult) -> None:
@@ -161,7 +201,11 @@ def test_shares_of_correlated_unknowns_add_up_and_are_fair() -> None:
     assert shares == pytest.approx(expected, rel=1e-6)
     # independent ones have what is theirs
     sizes = np.diag(np.diag(prior))
-    alone = _split(sizes @ weights, np.linalg.inv(sizes), groups)
+    alone = _split(
+        sizes @ weights,
+        np.linalg.inv(sizes),
+        groups,
+    )
     assert alone["b"] == pytest.approx(prior[1, 1] * weights[1] ** 2)
 
 

@@ -118,7 +118,9 @@ def test_masses_after_a_calibration(
 @pytest.mark.long
 @pytest.mark.parametrize("level", ["realistic_s00", "realistic_s01"])
 def test_the_truth_lies_inside_what_the_calibration_says(
-    recordings: Path, learnt: dict[tuple[str, bool], CalibrationEstimate], level: str
+    recordings: Path,
+    learnt: dict[tuple[str, bool], CalibrationEstimate],
+    level: str,
 ) -> None:
     truth = truth_of(recordings / level / "empty_00_joint3")
     names = {
@@ -246,7 +248,10 @@ def test_a_push_that_came_late_is_left_out(
 ) -> None:
     known = empty_runs(recordings / "realistic_s00", robot)
     known[which] = LoadedRun(late(known[which].run, late_s))
-    without = calibrate(robot, known[:which] + known[which + 1 :])
+    without = calibrate(
+        robot,
+        known[:which] + known[which + 1 :],
+    )
     spoilt = calibrate(robot, known)
     assert spoilt.verdict is Verdict.ACCEPTED
     assert (
@@ -308,7 +313,9 @@ def test_another_robot_is_refused(recordings: Path, robot: Robot) -> None:
 
 
 def test_a_calibration_is_not_calibrated_again(
-    learnt: dict[tuple[str, bool], CalibrationEstimate], recordings: Path, robot: Robot
+    learnt: dict[tuple[str, bool], CalibrationEstimate],
+    recordings: Path,
+    robot: Robot,
 ) -> None:
     calibrated = robot.with_calibration(learnt["realistic_s00", False].calibration)
     with pytest.raises(ConfigurationError, match="is a calibration already"):
@@ -327,7 +334,9 @@ def test_the_posterior_does_not_depend_on_the_order_of_the_runs(
 
 @pytest.mark.long
 def test_pooled_runs_with_a_calibration(
-    recordings: Path, robot: Robot, learnt: dict[tuple[str, bool], CalibrationEstimate]
+    recordings: Path,
+    robot: Robot,
+    learnt: dict[tuple[str, bool], CalibrationEstimate],
 ) -> None:
     """Lift and lower, elbow and shoulder: one mass, with a smaller interval than from any of them."""
     calibrated = robot.with_calibration(learnt["realistic_s00", True].calibration)
@@ -367,7 +376,9 @@ def test_pooled_runs_with_a_calibration(
 
 @pytest.mark.long
 def test_an_empty_hand_weighs_nothing(
-    recordings: Path, robot: Robot, learnt: dict[tuple[str, bool], CalibrationEstimate]
+    recordings: Path,
+    robot: Robot,
+    learnt: dict[tuple[str, bool], CalibrationEstimate],
 ) -> None:
     """Runs that were left out of the calibration, weighed with it."""
     known = empty_runs(recordings / "realistic_s00", robot)

@@ -35,7 +35,13 @@ def runs(robot: Robot) -> list[PreparedRun]:
 
 def test_a_calibration_says_more_than_the_file(robot: Robot, runs: list[PreparedRun]) -> None:
     key = ("coulomb", "joint3")
-    known = robot.with_calibration(Calibration((key,), np.array([0.05]), np.array([[1e-6]])))
+    known = robot.with_calibration(
+        Calibration(
+            (key,),
+            np.array([0.05]),
+            np.array([[1e-6]]),
+        )
+    )
     (before,), (after,) = (
         [u for u in robot_unknowns(r, runs, Role.FREE) if u.key == key] for r in (robot, known)
     )

@@ -17,7 +17,10 @@ def shown(values: np.ndarray, std: float = 1e-3) -> OwnTerms:
     return OwnTerms(values, np.full(2, std), USUAL)
 
 
-def drawn(rng: np.random.Generator, count: int) -> list[OwnTerms]:
+def drawn(
+    rng: np.random.Generator,
+    count: int,
+) -> list[OwnTerms]:
     return [shown(FRICTION + USUAL * rng.standard_normal(2)) for _ in range(count)]
 
 
@@ -26,7 +29,15 @@ def test_a_joint_s_own_recordings_are_seldom_taken_for_another_s(count: int) -> 
     """They differ as is usual, and of two or three recordings that is all that is known of it."""
     rng = np.random.default_rng(4)
     draws = [
-        list(another_joint("elbow", NAMES, drawn(rng, count), drawn(rng, 1)[0])) for _ in range(400)
+        list(
+            another_joint(
+                "elbow",
+                NAMES,
+                drawn(rng, count),
+                drawn(rng, 1)[0],
+            )
+        )
+        for _ in range(400)
     ]
     assert sum(map(bool, draws)) <= 24
 
@@ -43,7 +54,14 @@ def test_friction_of_another_proportion_is_another_joint_s() -> None:
     assert refusal.reasons[0].code == "another_joint"  # type: ignore[attr-defined]
     assert "elbow shows a viscous friction of" in refusal.reasons[0]
     # a term that the recording does not determine says nothing
-    assert not list(another_joint("elbow", NAMES, known, shown(np.array([0.14, 0.08]), std=0.1)))
+    assert not list(
+        another_joint(
+            "elbow",
+            NAMES,
+            known,
+            shown(np.array([0.14, 0.08]), std=0.1),
+        )
+    )
 
 
 def test_recordings_that_differ_more_bear_a_larger_difference() -> None:
@@ -61,7 +79,11 @@ def test_recordings_that_are_asked_together_know_their_mean_better() -> None:
 
 def test_older_calibrations_and_what_is_not_finite_say_nothing() -> None:
     assert not list(another_joint("elbow", NAMES, (), shown(9.0 * FRICTION)))
-    unknown = OwnTerms(9.0 * FRICTION, np.full(2, np.inf), USUAL)
+    unknown = OwnTerms(
+        9.0 * FRICTION,
+        np.full(2, np.inf),
+        USUAL,
+    )
     assert not list(another_joint("elbow", NAMES, [shown(FRICTION)] * 2, unknown))
 
 

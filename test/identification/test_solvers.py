@@ -60,7 +60,12 @@ def test_levenberg_marquardt_reaches_the_minimum_from_every_start() -> None:
 
 def test_levenberg_marquardt_slides_along_a_bound() -> None:
     """With x <= 0.5 the minimum is at x = 0.5, y = 0.25."""
-    found = solvers.levenberg_marquardt(Valley(upper_x=0.5), STARTS, whole, iterations=100)
+    found = solvers.levenberg_marquardt(
+        Valley(upper_x=0.5),
+        STARTS,
+        whole,
+        iterations=100,
+    )
     np.testing.assert_allclose(
         found.internal,
         np.tile([0.5, 0.25], (3, 1)),
@@ -142,13 +147,21 @@ def test_mass_coordinate_is_a_logarithm_that_passes_through_zero() -> None:
     )
     masses = np.array([[-0.01], [0.0], [1e-4], [0.5]])
     u = coordinates.internal(masses)
-    np.testing.assert_allclose(coordinates.physical(u), masses, atol=1e-15)
+    np.testing.assert_allclose(
+        coordinates.physical(u),
+        masses,
+        atol=1e-15,
+    )
     np.testing.assert_allclose(
         u[3] - coordinates.internal(np.array([0.05])), np.log(10.0), rtol=3e-3
     )
     step = 1e-6
     slope = (coordinates.physical(u + step) - coordinates.physical(u - step)) / (2.0 * step)
-    np.testing.assert_allclose(coordinates.slope(u), slope, rtol=1e-8)
+    np.testing.assert_allclose(
+        coordinates.slope(u),
+        slope,
+        rtol=1e-8,
+    )
 
 
 def test_an_unknown_that_is_known_exactly_stays_frozen() -> None:

@@ -19,7 +19,11 @@ PUSHED, CHANGE = 4.0, -10.0
 ALLOWED_S = 0.024
 
 
-def push(off_s: float, after: str = "coasts", ends: bool = True) -> PreparedRun:
+def push(
+    off_s: float,
+    after: str = "coasts",
+    ends: bool = True,
+) -> PreparedRun:
     """A joint that a current drives for 0.6 s and whose input is stamped so much later than that; read in whole counts."""
     t = PERIOD_S * np.arange(-20, 40)
     driven = np.clip(t, 0.0, DURATION_S)
@@ -87,9 +91,23 @@ def test_a_joint_that_is_driven_beyond_the_end(after: str) -> None:
 
 def test_a_joint_that_slipped_and_came_to_rest_before_its_push() -> None:
     t = 0.002 * np.arange(-250, 300)
-    slipped = np.where(t < -0.4, 0.03, 0.0) + 2.0 * np.clip(t, 0.0, None) ** 2
+    slipped = (
+        np.where(
+            t < -0.4,
+            0.03,
+            0.0,
+        )
+        + 2.0 * np.clip(t, 0.0, None) ** 2
+    )
     assert moves_before(recorded(t, slipped), -ALLOWED_S, JITTER_S) is None
-    begins = np.where(t < -0.4, 0.03, 0.0) + 2.0 * np.clip(t + 0.06, 0.0, None) ** 2
+    begins = (
+        np.where(
+            t < -0.4,
+            0.03,
+            0.0,
+        )
+        + 2.0 * np.clip(t + 0.06, 0.0, None) ** 2
+    )
     begun_s = moves_before(recorded(t, begins), -ALLOWED_S, JITTER_S)
     assert begun_s is not None and -0.1 < begun_s < -ALLOWED_S
 
@@ -113,7 +131,17 @@ def test_a_joint_that_creeps_the_other_way_before_a_push_that_hardly_moves_it() 
     for creeps_rad in (0.6, 1.1, 2.1):
         crept = creeps_rad * COUNT_RAD * np.clip((t + 0.5) / 0.3, 0.0, 1.0)
         assert moves_before(recorded(t, crept + away), -0.0056, 2e-4) is None
-    begins = -0.02 * (np.cosh(5.0 * np.clip(t + 0.15, 0.0, None)) - 1.0)
+    begins = -0.02 * (
+        np.cosh(
+            5.0
+            * np.clip(
+                t + 0.15,
+                0.0,
+                None,
+            )
+        )
+        - 1.0
+    )
     begun_s = moves_before(recorded(t, crept + begins), -0.0056, 2e-4)
     assert begun_s is not None and -0.2 < begun_s < -0.02
 
@@ -121,6 +149,9 @@ def test_a_joint_that_creeps_the_other_way_before_a_push_that_hardly_moves_it() 
 def test_the_earliest_onset_that_is_allowed_is_tried_itself() -> None:
     """Onsets are searched for 4 ms apart, at 0 and 4 ms here; that this one began 1.5 ms early cannot be seen."""
     t = 0.002 * np.arange(-250, 300)
-    run = recorded(t, 4.0 * np.clip(t, 0.0, None) ** 2)
+    run = recorded(
+        t,
+        4.0 * np.clip(t, 0.0, None) ** 2,
+    )
     assert moves_before(run, 0.0015, JITTER_S) is None
     assert moves_before(run, 0.005, JITTER_S) is not None

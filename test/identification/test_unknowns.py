@@ -11,7 +11,15 @@ from proprio_ros.kinds import KINDS, Key, key_of, label_of, name_of
 
 
 def unknowns(*names: str) -> list[Unknown]:
-    return [Unknown("zero", 0.1 * n, 0.5 + n, scope=name) for n, name in enumerate(names)]
+    return [
+        Unknown(
+            "zero",
+            0.1 * n,
+            0.5 + n,
+            scope=name,
+        )
+        for n, name in enumerate(names)
+    ]
 
 
 def keys(*names: str) -> list[Key]:
@@ -29,7 +37,11 @@ def test_a_correlated_prior_is_the_inverse_of_its_covariance_whatever_the_order(
     order = [2, 0, 1]  # c, a, b
     own = np.ix_([0, 2, 3], [0, 2, 3])
     product = coordinates.prior_precision[own] @ covariance[np.ix_(order, order)]
-    np.testing.assert_allclose(product, np.eye(3), atol=1e-7)
+    np.testing.assert_allclose(
+        product,
+        np.eye(3),
+        atol=1e-7,
+    )
     assert coordinates.prior_precision[1, 1] == pytest.approx(1.0 / 1.5**2)
     assert not coordinates.prior_precision[1, [0, 2, 3]].any()
 
@@ -60,7 +72,12 @@ def test_without_correlations_every_prior_stands_alone() -> None:
 def test_a_name_and_its_key_are_the_same_thing_for_every_kind() -> None:
     scopes = {"joint": "joint3", "link": "link5", "run": 12}
     for kind, about in KINDS.items():
-        unknown = Unknown(kind, 0.0, 1.0, scope=scopes.get(about.of))
+        unknown = Unknown(
+            kind,
+            0.0,
+            1.0,
+            scope=scopes.get(about.of),
+        )
         assert key_of(unknown.name) == unknown.key and name_of(unknown.key) == unknown.name
         assert (
             unknown.unit == about.unit

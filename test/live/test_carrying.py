@@ -31,7 +31,11 @@ def arm(tmp_path_factory: pytest.TempPathFactory) -> tuple[Robot, SensingArm]:
     return load_robot(write_sensing_arm(folder, 7, SEED)), SensingArm(folder, 7, SEED, 100.0)
 
 
-def mujoco_bias(arm: SensingArm, pose: np.ndarray, load: Load) -> np.ndarray:
+def mujoco_bias(
+    arm: SensingArm,
+    pose: np.ndarray,
+    load: Load,
+) -> np.ndarray:
     import mujoco
 
     arm._hold((load.mass_kg, np.array(load.centre_m)) if load.mass_kg else None)
@@ -41,7 +45,10 @@ def mujoco_bias(arm: SensingArm, pose: np.ndarray, load: Load) -> np.ndarray:
     return arm.data.qfrc_bias.copy()
 
 
-def named(carrier: Carrier, pose: np.ndarray) -> dict[str, float]:
+def named(
+    carrier: Carrier,
+    pose: np.ndarray,
+) -> dict[str, float]:
     return dict(zip(carrier.joints, pose.tolist(), strict=True))
 
 
@@ -109,7 +116,11 @@ def test_the_heaviest_load_is_where_a_joint_reaches_its_limit(
         pose,
         Load(found.most_kg, 0.0, LOAD.centre_m),
     )
-    assert np.isclose(np.max(np.abs(efforts) + 1.96 * stds), 150.0, rtol=1e-3)
+    assert np.isclose(
+        np.max(np.abs(efforts) + 1.96 * stds),
+        150.0,
+        rtol=1e-3,
+    )
     # upright it carries more, and on the way there it does not
     upright = pose | {"axis_2": -np.pi / 2}
     assert carrier.capability([upright], LOAD).most_kg > found.most_kg

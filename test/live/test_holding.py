@@ -11,7 +11,10 @@ from proprio_ros.live.holding import LEFT, TAKEN, Holding, probability_of_load
 
 
 def said(
-    true_kg: float, std_kg: float, count: int = 4000, least_kg: float = 0.05
+    true_kg: float,
+    std_kg: float,
+    count: int = 4000,
+    least_kg: float = 0.05,
 ) -> dict[bool | None, float]:
     """Share of what is said of so many hands, each after one estimate that is as sure as it says."""
     estimates = true_kg + std_kg * np.random.default_rng(3).standard_normal(count)

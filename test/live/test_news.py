@@ -12,7 +12,11 @@ NEEDED = Stretch(0.25, 0.009)
 STARTS_NS = 1_700_000_000 * 10**9
 
 
-def arrival(at_s: float, role: str = "joint_states", size: int = 100) -> Arrival:
+def arrival(
+    at_s: float,
+    role: str = "joint_states",
+    size: int = 100,
+) -> Arrival:
     raw = RawMessage("/joint_states", "sensor_msgs/msg/JointState", 0, bytes(size))
     return Arrival(
         role,
@@ -29,7 +33,10 @@ def filled(seconds: float, rate_hz: float) -> Backlog:
     return backlog
 
 
-def taken(backlog: Backlog, needed: Stretch = NEEDED) -> list[float]:
+def taken(
+    backlog: Backlog,
+    needed: Stretch = NEEDED,
+) -> list[float]:
     found = []
     while (each := backlog.take(needed)) is not None:
         found.append(each.sent_s)

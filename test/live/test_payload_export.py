@@ -47,7 +47,11 @@ def test_the_flange_sees_the_load_turned_and_shifted(robot: Robot) -> None:
     load = load_at(robot, LOAD, "tool0")
     # x of the tip is y of the flange, y of the tip is its -x
     assert np.allclose(load.com_m, [-0.02, 0.01, 0.13], atol=1e-12)
-    assert np.allclose(load.inertia_kg_m2, np.diag([2e-3, 1e-3, 3e-3]), atol=1e-12)
+    assert np.allclose(
+        load.inertia_kg_m2,
+        np.diag([2e-3, 1e-3, 3e-3]),
+        atol=1e-12,
+    )
     assert load.mass_kg == 0.5
 
 

@@ -93,7 +93,15 @@ def filled(
     session = Session(
         root,
         "payload",
-        datetime(2026, 1, 2, 3, 4, 5, tzinfo=timezone.utc),
+        datetime(
+            2026,
+            1,
+            2,
+            3,
+            4,
+            5,
+            tzinfo=timezone.utc,
+        ),
     )
     if journal:
         session.open()
@@ -220,7 +228,10 @@ def test_what_can_be_read_is_not_refused_and_leaves_nothing(tmp_path: Path) -> N
 
 
 def test_what_a_replay_would_refuse_is_refused_before_the_probe(tmp_path: Path) -> None:
-    def refusal(messages: list[RawMessage], options: Options | None = None) -> str:
+    def refusal(
+        messages: list[RawMessage],
+        options: Options | None = None,
+    ) -> str:
         with pytest.raises(RecordingError) as caught:
             check_input(
                 tmp_path / "session",
@@ -318,7 +329,15 @@ def test_a_live_estimate_takes_what_a_replay_takes(bags: Path) -> None:
             elif any(current):
                 live.add_command(
                     int(stamp),
-                    {n: float(c) for n, c in zip(read.inputs.names, current, strict=True) if c},
+                    {
+                        n: float(c)
+                        for n, c in zip(
+                            read.inputs.names,
+                            current,
+                            strict=True,
+                        )
+                        if c
+                    },
                 )
             else:
                 live.add_command(int(stamp), {})
@@ -527,7 +546,11 @@ def test_nothing_is_compiled_after_the_preparation(bags: Path) -> None:
     assert compiled_in_replay(options) == 0
     other = replace(
         options,
-        settings={**ABOUT_IT, "container.shape": "cylinder", "container.inner_size": [0.04, 0.06]},
+        settings={
+            **ABOUT_IT,
+            "container.shape": "cylinder",
+            "container.inner_size": [0.04, 0.06],
+        },
     )
     assert compiled_in_replay(other) > 0
 
@@ -558,7 +581,10 @@ def test_how_far_a_block_may_be_squeezed() -> None:
         drive,
         finger_travel=FingerTravel((-1.0, 1.0), (-0.015, 0.015)),
     )
-    other = replace(robot, drive_trains={**robot.drive_trains, gripper: faster})
+    other = replace(
+        robot,
+        drive_trains={**robot.drive_trains, gripper: faster},
+    )
     assert largest_squeeze(other, gripper, 0.005, facts) == pytest.approx(0.5 * 0.015 / 0.01149)
 
 

@@ -80,7 +80,12 @@ def test_they_are_those_of_a_replay() -> None:
         0.0,
     )
     stall.hear_voltage(0.5 * drive.supply_voltage_V)
-    assert stall.current_A(NAME, times_s[-1] + 3.0, 0.0, 0.0) == pytest.approx(0.5 * before)
+    assert stall.current_A(
+        NAME,
+        times_s[-1] + 3.0,
+        0.0,
+        0.0,
+    ) == pytest.approx(0.5 * before)
 
 
 def test_what_is_not_known_is_not_guessed() -> None:

@@ -85,7 +85,10 @@ def start(folder: Path, *more: str) -> Demo:
     return Demo(process, folder, mark)
 
 
-def comes(demo: Demo, ready: Callable[[], object]) -> bool:
+def comes(
+    demo: Demo,
+    ready: Callable[[], object],
+) -> bool:
     """Whether the demo gets there before it ends."""
     return wait_for(lambda: ready() or demo.process.poll() is not None, LONGEST_S) and bool(ready())
 

@@ -151,7 +151,10 @@ class Arm:
 
     def run(self) -> None:
         self.advance(0.2)
-        response = self.node._on_run(Trigger.Request(), Trigger.Response())
+        response = self.node._on_run(
+            Trigger.Request(),
+            Trigger.Response(),
+        )
         assert response.success, response.message
 
     def probe(self) -> None:
@@ -176,7 +179,10 @@ class Arm:
 
 
 @pytest.fixture
-def make(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[Any]:
+def make(
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+) -> Iterator[Any]:
     monkeypatch.setenv("ROS_DOMAIN_ID", free_domain())
     context = rclpy.Context()
     rclpy.init(args=[], context=context)
@@ -321,7 +327,10 @@ def test_nothing_begins_where_nobody_would_hold_the_arm_of_a_killed_node(
     arm = make()
     arm.advance(0.2)
     setattr(arm.speaker, lacks, False)
-    response = arm.node._on_run(Trigger.Request(), Trigger.Response())
+    response = arm.node._on_run(
+        Trigger.Request(),
+        Trigger.Response(),
+    )
     assert not response.success
     assert cure in response.message
     assert not arm.commands

@@ -55,7 +55,10 @@ def time_of_the_test() -> Iterator[SimulatedClock]:
 
 
 @pytest.fixture
-def context(monkeypatch: pytest.MonkeyPatch, time_of_the_test: SimulatedClock) -> Iterator[Any]:
+def context(
+    monkeypatch: pytest.MonkeyPatch,
+    time_of_the_test: SimulatedClock,
+) -> Iterator[Any]:
     # this process is that of the other tests, too
     monkeypatch.setattr(ExcitationNode, "real_time", False)
     context = rclpy.Context()
@@ -276,7 +279,10 @@ def test_a_weighing_after_a_stop_is_refused_at_once(
     ):
         identifier.jobs.await_others(Job("payload", "calibrate_payload"))
     answers: list[tuple[bool, str]] = []
-    identifier._begin("payload", lambda success, message: answers.append((success, message)))
+    identifier._begin(
+        "payload",
+        lambda success, message: answers.append((success, message)),
+    )
     clock.sleep(10.0)
     assert answers
     assert not answers[0][0]
@@ -312,7 +318,11 @@ def test_nor_is_the_identifier_configured_with_one(
 def test_timers_have_their_turn_where_messages_come_faster_than_they_are_taken(
     identifier: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def endless(_subscription: Any, data: Any, info: Any) -> Iterator[Any]:
+    def endless(
+        _subscription: Any,
+        data: Any,
+        info: Any,
+    ) -> Iterator[Any]:
         for _ in range(10**7):
             yield data, info
         raise AssertionError("no end")

@@ -50,7 +50,10 @@ def test_an_arm_with_another_driver_is_probed(
         "payload_sequence": str(push),
     }
     with Graph(tmp_path / "logs") as graph:
-        graph.start("virtual", {"link": tmp_path / "bus", "seed": 1, "object": 0.05})
+        graph.start(
+            "virtual",
+            {"link": tmp_path / "bus", "seed": 1, "object": 0.05},
+        )
         graph.start(
             "driver",
             {"port": tmp_path / "bus", "reply_timeout": 0.1, "command_timeout": 0.5},

@@ -56,7 +56,12 @@ class Published(list[Any]):
 class Arm:
     """An excitation node and servos behind a position controller, on a clock of the test's own. No wire, no thread."""
 
-    def __init__(self, context: Any, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def __init__(
+        self,
+        context: Any,
+        folder: Path,
+        monkeypatch: pytest.MonkeyPatch,
+    ) -> None:
         self.time_s = 100.0
         monkeypatch.setattr(clock, "now", lambda: self.time_s)
         monkeypatch.setattr(
@@ -128,7 +133,10 @@ class Arm:
 
     def pushes(self) -> None:
         self.advance(0.2)
-        response = self.node._on_run(Trigger.Request(), Trigger.Response())
+        response = self.node._on_run(
+            Trigger.Request(),
+            Trigger.Response(),
+        )
         assert response.success, response.message
         for _ in range(500):
             if self.phase == "probe":
@@ -152,12 +160,20 @@ class Arm:
         assert len(self.last) == len(ORDER)
         assert abs(self.last[ELBOW] - self.pushed[ELBOW]) > 0.02
         assert all(
-            abs(goal - after[name]) < 0.2 for name, goal in zip(ORDER, self.last, strict=True)
+            abs(goal - after[name]) < 0.2
+            for name, goal in zip(
+                ORDER,
+                self.last,
+                strict=True,
+            )
         )
 
 
 @pytest.fixture
-def arm(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[Arm]:
+def arm(
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+) -> Iterator[Arm]:
     monkeypatch.setenv("ROS_DOMAIN_ID", free_domain())
     context = rclpy.Context()
     rclpy.init(args=[], context=context)
@@ -178,7 +194,10 @@ def test_an_abort_and_a_release_hold_the_arm(arm: Arm) -> None:
     }
     assert all(list(each.name) == ORDER for each in arm.goals)
     arm.pushes()
-    response = arm.node._on_release(Trigger.Request(), Trigger.Response())
+    response = arm.node._on_release(
+        Trigger.Request(),
+        Trigger.Response(),
+    )
     assert "the servos hold the arm" in response.message
     assert arm.told[-1] == []
     count = len(arm.commands)
@@ -206,7 +225,10 @@ def test_an_encoder_that_slips_is_followed(arm: Arm) -> None:
     assert arm.last[wrist] - arm.pushed[wrist] == pytest.approx(0.8, abs=0.1)
     for released in (False, True):
         arm.advance(0.5)
-        response = arm.node._on_run(Trigger.Request(), Trigger.Response())
+        response = arm.node._on_run(
+            Trigger.Request(),
+            Trigger.Response(),
+        )
         assert response.success == released
         assert ("the encoder of wrist_flex jumped" in response.message) != released
         arm.node._on_release(Trigger.Request(), Trigger.Response())
@@ -219,7 +241,10 @@ def test_an_encoder_that_slips_while_the_arm_is_held_is_remembered(arm: Arm) -> 
     arm.advance(1.0)
     arm.shift = 0.8
     arm.advance(1.0)
-    response = arm.node._on_run(Trigger.Request(), Trigger.Response())
+    response = arm.node._on_run(
+        Trigger.Request(),
+        Trigger.Response(),
+    )
     assert not response.success
     assert "the encoder of wrist_flex jumped by +0.80" in response.message
 

@@ -57,7 +57,11 @@ class Published(list[Any]):
 class Service:
     """In the place of a service; a response goes to whoever stands as its header."""
 
-    def send_response(self, response: Any, answers: list[tuple[bool, str]]) -> None:
+    def send_response(
+        self,
+        response: Any,
+        answers: list[tuple[bool, str]],
+    ) -> None:
         answers.append((response.success, response.message))
 
 
@@ -95,7 +99,10 @@ class Identifier(identifier.IdentifierNode):
             )
         return self.offered.setdefault(name.removeprefix("~/"), Service())
 
-    def call(self, service: str) -> list[tuple[bool, str]]:
+    def call(
+        self,
+        service: str,
+    ) -> list[tuple[bool, str]]:
         """The answers, once there are some."""
         answers: list[tuple[bool, str]] = []
         self.offered[service].send_response(Trigger.Response(), answers)
@@ -119,7 +126,10 @@ class Nodes:
         self._made: list[tuple[Any, Any]] = []
 
     def make(self, kind: type, namespace: str = "", **parameters: Any) -> Any:
-        words = ["--ros-args", *(["-r", f"__ns:=/{namespace}"] if namespace else [])]
+        words = [
+            "--ros-args",
+            *(["-r", f"__ns:=/{namespace}"] if namespace else []),
+        ]
         words += [word for name, value in parameters.items() for word in ("-p", f"{name}:={value}")]
         context = rclpy.Context()
         rclpy.init(args=words, context=context)
@@ -206,7 +216,10 @@ def test_what_stood_of_the_hand_is_withdrawn(nodes: Nodes, tmp_path: Path) -> No
     node.results.withdraw()
     numbers = ("mass", "sphere_mass", "payload")
     assert not any(node.published[name] for name in numbers), "nothing stands at the beginning"
-    node.results.publish(live_request(Options()), answer("payload", 0.05))
+    node.results.publish(
+        live_request(Options()),
+        answer("payload", 0.05),
+    )
     assert node.published["mass"][-1].data == 0.05
     assert node.published["payload"][-1].inertia.m == 0.05
     assert node.published["payload"][-1].inertia.ixx > 0.0
@@ -261,7 +274,10 @@ def test_a_job_that_fails_says_so_where_the_last_answer_stood(
 ) -> None:
     node = nodes.identifier(data_directory=tmp_path, calibration="none")
     node.active = True
-    node.results.publish(live_request(Options()), answer("payload", 0.05))
+    node.results.publish(
+        live_request(Options()),
+        answer("payload", 0.05),
+    )
     asked: list[Job] = []
     begun = threading.Event()
 
@@ -293,7 +309,10 @@ def test_each_namespace_has_its_data_its_frames_and_its_diagnostics(
     node = nodes.identifier("arm1", data_directory=tmp_path, frame_prefix="arm1/")
     assert node.workspace.calibration is None
     assert node.workspace.data == tmp_path / "arm1"
-    node.results.publish(live_request(Options()), answer("payload", 0.05))
+    node.results.publish(
+        live_request(Options()),
+        answer("payload", 0.05),
+    )
     assert node.published["payload"][-1].header.frame_id == "arm1/end_effector_link"
     assert node.published["markers"][-1].markers[-1].header.frame_id == "arm1/end_effector_link"
     arm = nodes.make(
@@ -345,7 +364,10 @@ def test_what_the_driver_says_of_its_motors_is_part_of_a_recording(
     states = RawMessage(
         "/arm1/joint_states", "sensor_msgs/msg/JointState", 1, serialize_message(state)
     )
-    write_messages(tmp_path / "bag", [states, *node.inputs.published_motors()])
+    write_messages(
+        tmp_path / "bag",
+        [states, *node.inputs.published_motors()],
+    )
     with BagSource(tmp_path / "bag") as source:
         assert source.motors(None) == {"joint3": elbow}
 
@@ -618,7 +640,12 @@ def test_only_the_last_seconds_are_kept(nodes: Nodes, tmp_path: Path) -> None:
     node = nodes.identifier(data_directory=tmp_path, calibration="none")
     node.inputs.kept = deque(
         [
-            RawMessage("/joint_states", "", node.get_clock().now().nanoseconds - age * 10**9, b"")
+            RawMessage(
+                "/joint_states",
+                "",
+                node.get_clock().now().nanoseconds - age * 10**9,
+                b"",
+            )
             for age in (16, 14)
         ]
     )
@@ -638,7 +665,10 @@ class Future:
     def __init__(self, answer: Any) -> None:
         self._answer = answer
 
-    def add_done_callback(self, done: Callable[[Any], None]) -> None:
+    def add_done_callback(
+        self,
+        done: Callable[[Any], None],
+    ) -> None:
         done(self)
 
     def result(self) -> Any:
@@ -731,7 +761,10 @@ def test_a_joint_was_let_go_of_when_that_was_said_and_not_when_it_was_heard(
         hear = {
             subscription.topic_name: subscription.callback for subscription in node.subscriptions
         }
-        hear["/torque_enabled"](serialize_message(Bool(data=False)), {"source_timestamp": sent_ns})
+        hear["/torque_enabled"](
+            serialize_message(Bool(data=False)),
+            {"source_timestamp": sent_ns},
+        )
     assert kept[0] == late_ns
     assert kept[1] >= now_ns
 

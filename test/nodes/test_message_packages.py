@@ -77,7 +77,10 @@ def test_a_built_package_goes_over_dds(environment: dict[str, str]) -> None:
     kinds = {
         name: importlib.import_module(f"three_msgs.{name}") for name in ("msg", "srv", "action")
     }
-    server = subprocess.Popen([sys.executable, "-c", SERVER], env=environment)
+    server = subprocess.Popen(
+        [sys.executable, "-c", SERVER],
+        env=environment,
+    )
     context = rclpy.Context()
     rclpy.init(args=[], context=context)
     node = rclpy.create_node("client", context=context)

@@ -69,7 +69,11 @@ def test_what_is_not_known_is_not_a_number() -> None:
     assert block.reasons == []
 
 
-def asked(target: str, sequence: str = "", half_interval: float = 0.0) -> Any:
+def asked(
+    target: str,
+    sequence: str = "",
+    half_interval: float = 0.0,
+) -> Any:
     return SimpleNamespace(
         target=target, sequence=sequence, settings=[], half_interval=half_interval, at_most_s=0.0
     )

@@ -49,7 +49,13 @@ def test_servos_are_pushed_by_steps_of_goals_and_held_when_the_node_is_killed(
         **ARM,
     }
     output = {"command_interface": "position", "probe": probe, **ARM}
-    with running(tmp_path, "virtual", "excitation", virtual=virtual, excitation=output) as (
+    with running(
+        tmp_path,
+        "virtual",
+        "excitation",
+        virtual=virtual,
+        excitation=output,
+    ) as (
         graph,
         client,
     ):

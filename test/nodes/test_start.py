@@ -40,7 +40,12 @@ def test_the_identifier_says_what_it_compiles(
     monkeypatch.setenv("ROS_DOMAIN_ID", free_domain())
     empty = {"WARP_CACHE_PATH": str(tmp_path / "cache")}
     # a pendulum's friction does not rise towards standstill, which saves three kernels
-    with running(tmp_path, "identifier", environment=empty, identifier={"robot": "pendulum"}) as (
+    with running(
+        tmp_path,
+        "identifier",
+        environment=empty,
+        identifier={"robot": "pendulum"},
+    ) as (
         graph,
         client,
     ):

@@ -227,7 +227,11 @@ class Fake:
         self.then = then
         self.wanted = engage
 
-    def answer(self, why: str = "", known: bool = True) -> None:
+    def answer(
+        self,
+        why: str = "",
+        known: bool = True,
+    ) -> None:
         self.pending = False
         self.switched = self.wanted != bool(why) if known else True
         self.then(why)

@@ -132,7 +132,12 @@ def arm(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Arm]:
     identifier = {"payload_sequence": str(push_file(folder, 0.6))}
     with pytest.MonkeyPatch.context() as environment:
         environment.setenv("ROS_DOMAIN_ID", free_domain())
-        with running(folder, virtual={"object": 0.05}, identifier=identifier, **PATIENT) as (
+        with running(
+            folder,
+            virtual={"object": 0.05},
+            identifier=identifier,
+            **PATIENT,
+        ) as (
             graph,
             client,
         ):

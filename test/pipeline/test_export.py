@@ -99,7 +99,11 @@ def test_without_motions_friction_is_that_of_the_drive_trains() -> None:
         at = model.jnt_dofadr[model.joint(name).id]
         assert np.isclose(model.dof_frictionloss[at], 0.06 / abs(drive.transmission), rtol=1e-4)
         assert np.isclose(model.dof_damping[at], 0.02 / drive.transmission**2, rtol=1e-4)
-    assert np.allclose(model.body_mass[1:], 1.1 * bare.body_mass[1:], rtol=1e-6)
+    assert np.allclose(
+        model.body_mass[1:],
+        1.1 * bare.body_mass[1:],
+        rtol=1e-6,
+    )
 
 
 def test_the_command_writes_it(

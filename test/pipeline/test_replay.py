@@ -463,7 +463,14 @@ def test_a_pendulum_of_ones_own(tmp_path: Path) -> None:
         "swing",
         JointRecord(stamps, ("pivot",), position[:, None]),
         InputRecord(
-            stamps, ("pivot",), np.where(times_s < 0.0, 0.0, current)[:, None], "/current_command"
+            stamps,
+            ("pivot",),
+            np.where(
+                times_s < 0.0,
+                0.0,
+                current,
+            )[:, None],
+            "/current_command",
         ),
     )
     write_recording(tmp_path / "swing", recording, storage="sqlite3")

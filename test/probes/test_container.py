@@ -381,7 +381,12 @@ def test_where_a_sphere_settles() -> None:
     )
     ball = ContainerFacts(Enclosure("sphere", np.full(3, 0.05), 0.01))
     np.testing.assert_allclose(
-        start_prior(plain_run(np.array([0.0, 6.0, -8.0])), ball, 0.0).mean / 0.015,
+        start_prior(
+            plain_run(np.array([0.0, 6.0, -8.0])),
+            ball,
+            0.0,
+        ).mean
+        / 0.015,
         [0.0, 0.6, -0.8],
         rtol=6e-3,
     )
@@ -399,9 +404,24 @@ def problem_of(
         Settings({**stated_of_box(folders[0]), "contact.law": law}), probe_file("container")
     )
     runs = [
-        prepare_run(level.robot, run, None, facts.shell) for f in folders for run in level.runs(f)
+        prepare_run(
+            level.robot,
+            run,
+            None,
+            facts.shell,
+        )
+        for f in folders
+        for run in level.runs(f)
     ]
-    empty = [prepare_run(level.robot, run, None, facts.shell) for run in level.baseline()]
+    empty = [
+        prepare_run(
+            level.robot,
+            run,
+            None,
+            facts.shell,
+        )
+        for run in level.baseline()
+    ]
     rolling = [True] * len(runs) + [False] * len(empty)
     everything = [*runs, *empty]
     nothing = JointRun(
@@ -410,7 +430,12 @@ def problem_of(
         np.zeros(1),
     )
     priors = [
-        start_prior(sphere_run(level.robot, r, facts, nothing), facts, r.rest.value) for r in runs
+        start_prior(
+            sphere_run(level.robot, r, facts, nothing),
+            facts,
+            r.rest.value,
+        )
+        for r in runs
     ]
     unknowns = container_unknowns(
         level.robot,
@@ -459,7 +484,15 @@ def test_gradient_of_the_cost(realistic: Boxes, law: str, mass: float) -> None:
     rng = np.random.default_rng(3)
     base = problem.coordinates.prior_mean.copy()
     spread = np.array([u.std for u in problem.unknowns])[problem.free]
-    base += 0.1 * np.where(np.isfinite(spread), spread, 0.0) * rng.standard_normal(len(base))
+    base += (
+        0.1
+        * np.where(
+            np.isfinite(spread),
+            spread,
+            0.0,
+        )
+        * rng.standard_normal(len(base))
+    )
     names = [problem.unknowns[row].name for row in problem.free]
     base[names.index("sphere_mass")], base[names.index("payload_mass")] = mass, 0.03
     lower = problem.coordinates.physical(problem.coordinates.lower)

@@ -116,7 +116,12 @@ def test_the_law_bends_the_trajectory_as_its_tangent_says(registered: None) -> N
     for stiffness in (0.0, 0.3, 1.2):
         p[0, STIFFNESS] = stiffness
         q, _, dq = (
-            array.copy() for array in simulator.jacobian(np.zeros(1, dtype=np.int32), p, direction)
+            array.copy()
+            for array in simulator.jacobian(
+                np.zeros(1, dtype=np.int32),
+                p,
+                direction,
+            )
         )
         step = 1e-5
         high, low = (

@@ -58,7 +58,11 @@ def id_of(case: Case) -> str:
 
 
 POPULATION = [
-    pytest.param(number, id=id_of(case), marks=[pytest.mark.long] * (number >= 8))
+    pytest.param(
+        number,
+        id=id_of(case),
+        marks=[pytest.mark.long] * (number >= 8),
+    )
     for number, case in enumerate(draw(SEED))
     if number < 8 or number % 2 == 0
 ]
@@ -131,7 +135,13 @@ def test_bounces_of_another_law(robot: Robot) -> None:
         case,
         damping_ratio=0.15,
         times_s=np.concatenate([[0.0], half_s / 2.0 + half_s * np.arange(count)]),
-        current_A=hold + 0.5 * np.where(np.arange(count + 1) % 2 == 0, -1.0, 1.0),
+        current_A=hold
+        + 0.5
+        * np.where(
+            np.arange(count + 1) % 2 == 0,
+            -1.0,
+            1.0,
+        ),
     )
     run, _ = recorded(wild, SEED, 1.5)
     facts = replace(

@@ -253,13 +253,26 @@ def test_samples_that_are_no_numbers_are_left_out() -> None:
     path = rolled()
     position = path.position.copy()
     position[5:] = np.nan
-    shown = drawable(replace(path, position=position, std=np.full_like(path.std, np.nan)))
+    shown = drawable(
+        replace(
+            path,
+            position=position,
+            std=np.full_like(path.std, np.nan),
+        )
+    )
     assert shown is not None and len(shown.times_s) == 5
     for text in (path_figure(shown, 1), moving_figure(shown, 1)):
         assert "nan" not in text
     assert drawable(replace(path, position=np.full_like(position, np.nan))) is None
     one = drawable(
-        replace(path, position=np.where(np.arange(25)[:, None] == 3, path.position, np.nan))
+        replace(
+            path,
+            position=np.where(
+                np.arange(25)[:, None] == 3,
+                path.position,
+                np.nan,
+            ),
+        )
     )
     assert one is not None and "nan" not in path_figure(one, 1) + moving_figure(one, 1)
 

@@ -100,7 +100,11 @@ def test_a_push_in_bursts_is_retimed_and_one_without_a_rate_refused(tmp_path: Pa
     stamps = times()
     last = [stamps[min(row // 4 * 4 + 3, len(stamps) - 1)] + row % 4 for row in range(len(stamps))]
     bursts = [
-        state(arrived, positions(true), effort=[0.0, 0.0, -0.53 * (10 <= row < 34), 0.0, 0.0])
+        state(
+            arrived,
+            positions(true),
+            effort=[0.0, 0.0, -0.53 * (10 <= row < 34), 0.0, 0.0],
+        )
         for row, (arrived, true) in enumerate(zip(last, stamps, strict=True))
     ]
     recording = read(write_bag(tmp_path / "bag", bursts), effort_unit="N.m")

@@ -50,7 +50,11 @@ def stepped(
     by_s: float,
     at: float = 0.5,
 ) -> TimeArray:
-    return times_ns + np.where(np.arange(COUNT) >= at * COUNT, round(1e9 * by_s), 0)
+    return times_ns + np.where(
+        np.arange(COUNT) >= at * COUNT,
+        round(1e9 * by_s),
+        0,
+    )
 
 
 def true_s(found: JointColumns) -> FloatArray:
@@ -229,7 +233,11 @@ def test_noise_of_encoders_is_no_second_motion() -> None:
     rng = np.random.default_rng(12)
     still = columns(TRUE_NS, TRUE_NS)
     noisy = rng.normal(0.0, 1e-3, (COUNT, 3))
-    gappy = TRUE_NS + np.where(np.arange(COUNT) % 200 > 100, 5_000_000, 0) * np.arange(COUNT)
+    gappy = TRUE_NS + np.where(
+        np.arange(COUNT) % 200 > 100,
+        5_000_000,
+        0,
+    ) * np.arange(COUNT)
     case = still._replace(
         bag_ns=gappy,
         stamp_ns=gappy,
@@ -260,7 +268,11 @@ PUSH = BAGS / "realistic_s00_fixed_light_ball_20g_joint3" / "bag_mcap"
 def pushed(folder: Path, name: str, **parameters: object) -> Path:
     """A recorded push, bent."""
     change = all_bends()[name].change
-    return change(tape_of(PUSH), np.random.default_rng(0), **parameters).write(folder / "bent")
+    return change(
+        tape_of(PUSH),
+        np.random.default_rng(0),
+        **parameters,
+    ).write(folder / "bent")
 
 
 @pytest.mark.parametrize("step_s", [-3.2, -0.3, 3.2])

@@ -48,7 +48,14 @@ def test_the_order_of_joints_may_change_between_messages(tmp_path: Path) -> None
 
 
 def test_another_order_that_never_changes_needs_no_note(tmp_path: Path) -> None:
-    messages = [state(time_ns, positions(time_ns)[::-1], JOINTS[::-1]) for time_ns in times()]
+    messages = [
+        state(
+            time_ns,
+            positions(time_ns)[::-1],
+            JOINTS[::-1],
+        )
+        for time_ns in times()
+    ]
     recording = read(write_bag(tmp_path / "bag", messages + commands()))
     assert recording.notes == ()
     assert recording.joints.position[:, recording.joints.column("joint3")].tolist() == [
@@ -99,7 +106,14 @@ def test_labels_name_the_columns(
     tmp_path: Path,
     labels: tuple[str, ...],
 ) -> None:
-    messages = [command(time_ns, [currents(time_ns)[2], 0.0], labels) for time_ns in times()]
+    messages = [
+        command(
+            time_ns,
+            [currents(time_ns)[2], 0.0],
+            labels,
+        )
+        for time_ns in times()
+    ]
     inputs = read(write_bag(tmp_path / "bag", states() + messages)).inputs
     assert inputs is not None
     assert inputs.names == ("joint3", "joint1")
@@ -123,7 +137,19 @@ def test_labels_that_do_not_fit(
     labels: tuple[str, ...],
 ) -> None:
     with refused("has 2 values but is labelled .*must name every joint once"):
-        read(write_bag(tmp_path / "bag", [*states(), command(ONSET_NS, [0.3, 0.0], labels)]))
+        read(
+            write_bag(
+                tmp_path / "bag",
+                [
+                    *states(),
+                    command(
+                        ONSET_NS,
+                        [0.3, 0.0],
+                        labels,
+                    ),
+                ],
+            )
+        )
 
 
 @pytest.mark.parametrize("length", [1, 4, 6])
@@ -165,7 +191,14 @@ def test_a_command_without_numbers_ends_the_push(
 
 
 def test_an_unlabelled_command_may_cover_just_the_recorded_joints(tmp_path: Path) -> None:
-    messages = [state(t, positions(t)[:4], JOINTS[:4]) for t in times()]
+    messages = [
+        state(
+            t,
+            positions(t)[:4],
+            JOINTS[:4],
+        )
+        for t in times()
+    ]
     messages += [command(t, currents(t)[:4]) for t in times()]
     recording = read(write_bag(tmp_path / "bag", messages))
     assert recording.inputs is not None

@@ -133,7 +133,11 @@ def test_the_meaning_of_effort_is_stated_or_left_out(tmp_path: Path) -> None:
 
 def test_joints_get_the_robots_names(tmp_path: Path) -> None:
     folder = write(tmp_path)
-    assert read(folder, prefix="j", names={"1": "base"}).joints.names == ("base", "2", "3", "4")
+    assert read(
+        folder,
+        prefix="j",
+        names={"1": "base"},
+    ).joints.names == ("base", "2", "3", "4")
     with pytest.raises(
         RecordingError, match=r"two joints of observation\.state would have one name"
     ):
@@ -152,8 +156,16 @@ def test_units_are_those_of_the_profile(tmp_path: Path) -> None:
         limits={"j4": (-1.0, 1.0)},
         **given,
     )
-    assert np.allclose(found.joints.position[:, :3], written.position[:, :3], atol=1e-5)
-    assert np.allclose(found.joints.position[:, 3], -1.0 + 0.02 * degrees.position[:, 3], atol=1e-4)
+    assert np.allclose(
+        found.joints.position[:, :3],
+        written.position[:, :3],
+        atol=1e-5,
+    )
+    assert np.allclose(
+        found.joints.position[:, 3],
+        -1.0 + 0.02 * degrees.position[:, 3],
+        atol=1e-4,
+    )
     assert found.joints.current is not None and np.isnan(found.joints.current[:, 1]).all()
     with pytest.raises(RecordingError, match="no angle in rad"):
         read(folder, **given)

@@ -316,7 +316,12 @@ def test_a_file_extends_a_profile_and_replaces_its_keys(tmp_path: Path) -> None:
 @pytest.mark.parametrize("storage", STORAGES)
 def test_proprio(tmp_path: Path, storage: str) -> None:
     commands = [
-        numbers(t, [torque(t)[name] for name in JOINTS], "/current_command") for t in times()
+        numbers(
+            t,
+            [torque(t)[name] for name in JOINTS],
+            "/current_command",
+        )
+        for t in times()
     ]
     bag = write_bag(
         tmp_path / "bag",
@@ -344,7 +349,14 @@ def test_proprio(tmp_path: Path, storage: str) -> None:
 @pytest.mark.parametrize("storage", STORAGES)
 def test_ros2_control_with_an_effort_controller(tmp_path: Path, storage: str) -> None:
     topic = "/arm/forward_effort_controller/commands"
-    commands = [numbers(t, [torque(t)[name] for name in JOINTS], topic) for t in times()]
+    commands = [
+        numbers(
+            t,
+            [torque(t)[name] for name in JOINTS],
+            topic,
+        )
+        for t in times()
+    ]
     silent = push(
         effort=lambda given: dict.fromkeys(given, np.nan),
         topic="/arm/joint_states",
@@ -432,7 +444,14 @@ def test_ros2_control_under_a_trajectory_controller(tmp_path: Path, storage: str
 def test_the_order_of_a_controller_that_drives_some_joints_is_stated(tmp_path: Path) -> None:
     order = ("joint4", "joint3", "joint2")
     topic = "/torques/commands"
-    commands = [numbers(t, [torque(t)[name] for name in order], topic) for t in times()]
+    commands = [
+        numbers(
+            t,
+            [torque(t)[name] for name in order],
+            topic,
+        )
+        for t in times()
+    ]
     bag = write_bag(tmp_path / "bag", push() + commands)
     (tmp_path / "mine.yaml").write_text(
         "extends: ros2_control\n"
@@ -664,7 +683,14 @@ def test_feetech(tmp_path: Path, storage: str) -> None:
 
 
 def test_what_the_user_states_wins(tmp_path: Path) -> None:
-    commands = [numbers(t, list(torque(t).values()), "/other/commands") for t in times()]
+    commands = [
+        numbers(
+            t,
+            list(torque(t).values()),
+            "/other/commands",
+        )
+        for t in times()
+    ]
     bag = write_bag(tmp_path / "bag", push() + commands)
     assert elbow_A(read(bag, driver="ros2_control", effort_unit="A")).min() == -0.5
     named = read(bag, driver="ros2_control", command_topic="/other/commands")
@@ -838,7 +864,12 @@ def test_live_it_is_a_parameter_and_stands_in_the_command_that_gives_the_answer_
     assert "--driver ros2_control" in replay_command(tmp_path / "bag", options)
     assert as_parameters("--driver ur_torque: no") == "the parameter driver ur_torque: no"
     raw = [
-        RawMessage(m.topic, m.msgtype, m.time_ns, bytes(TYPES.serialize_cdr(m.content, m.msgtype)))
+        RawMessage(
+            m.topic,
+            m.msgtype,
+            m.time_ns,
+            bytes(TYPES.serialize_cdr(m.content, m.msgtype)),
+        )
         for m in push(names=lambda name: f"left_{name}")
     ]
     with refused("the robot has joint1: state joint_prefix: left_ in a driver", RecordingError):
@@ -861,7 +892,11 @@ def quality(reliability: QosReliability) -> list[Qos]:
 
 
 @pytest.mark.parametrize("storage", STORAGES)
-@pytest.mark.parametrize("reliability", list(QosReliability), ids=lambda each: each.name.lower())
+@pytest.mark.parametrize(
+    "reliability",
+    list(QosReliability),
+    ids=lambda each: each.name.lower(),
+)
 def test_any_quality_of_service_is_read(
     tmp_path: Path, storage: str, reliability: QosReliability
 ) -> None:

@@ -35,7 +35,14 @@ def recording(
     rate_Hz: float = 100.0,
     measured: bool = True,
 ) -> Recording:
-    times_ns = np.round(1e9 * np.arange(0.0, seconds, 1.0 / rate_Hz)).astype(np.int64)
+    times_ns = np.round(
+        1e9
+        * np.arange(
+            0.0,
+            seconds,
+            1.0 / rate_Hz,
+        )
+    ).astype(np.int64)
     position = np.sin(1e-9 * times_ns)[:, None] * np.array([1.0, 0.5, 0.0])
     # one that stood still would not have been measured
     current = 1.0 + 0.1 * np.sin(3e-9 * times_ns)[:, None] * np.ones(3)
@@ -123,13 +130,24 @@ def test_wrapped_angles_are_unwrapped_and_long_gaps_are_said() -> None:
     )
     assert any("unwrapped" in note for note in motion.notes)
     # a jump that is no whole turn is no wrap
-    jumped = record.position + np.where(np.arange(len(record.times_ns)) > 500, 4.0, 0.0)[:, None]
+    jumped = (
+        record.position
+        + np.where(
+            np.arange(len(record.times_ns)) > 500,
+            4.0,
+            0.0,
+        )[:, None]
+    )
     with pytest.raises(RecordingError, match="wrap around"):
         motion_of(
             replace(whole, joints=replace(record, position=jumped)),
             joints=["a", "b"],
         )
-    times_ns = record.times_ns + np.where(np.arange(len(record.times_ns)) > 1000, 60_000_000_000, 0)
+    times_ns = record.times_ns + np.where(
+        np.arange(len(record.times_ns)) > 1000,
+        60_000_000_000,
+        0,
+    )
     with pytest.raises(RecordingError, match="in gaps"):
         motion_of(
             replace(whole, joints=replace(record, times_ns=times_ns)),
@@ -185,8 +203,16 @@ def test_what_stands_in_the_way_of_a_gap_with_a_wrap_is_the_gap() -> None:
     whole = recording(20.0)
     record = whole.joints
     # a quarter of a turn and more while nobody looked
-    far = np.where(np.arange(len(record.times_ns)) >= 1000, 2.0, 0.0)[:, None] * [1.0, 0.0, 0.0]
-    times_ns = record.times_ns + np.where(np.arange(len(record.times_ns)) >= 1000, 940_000_000, 0)
+    far = np.where(
+        np.arange(len(record.times_ns)) >= 1000,
+        2.0,
+        0.0,
+    )[:, None] * [1.0, 0.0, 0.0]
+    times_ns = record.times_ns + np.where(
+        np.arange(len(record.times_ns)) >= 1000,
+        940_000_000,
+        0,
+    )
     angles = 3.0 * record.position + far
     gap = replace(
         record,

@@ -127,7 +127,16 @@ def test_effort_that_is_read_seldom() -> None:
     )
     assert (
         codes(recording(off)) == []
-        and codes(recording(np.clip(-9.0 * angle(TIMES_S), -3.0, 3.0))) == []
+        and codes(
+            recording(
+                np.clip(
+                    -9.0 * angle(TIMES_S),
+                    -3.0,
+                    3.0,
+                )
+            )
+        )
+        == []
     )
 
 

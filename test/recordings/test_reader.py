@@ -383,7 +383,13 @@ def test_flipped_bytes_are_read_or_refused_and_never_crash(
     shutil.copytree(source, folder)
     file = data.draw(st.sampled_from(sorted(folder.iterdir())))
     content = bytearray(file.read_bytes())
-    for place in data.draw(st.lists(st.integers(0, len(content) - 1), min_size=1, max_size=20)):
+    for place in data.draw(
+        st.lists(
+            st.integers(0, len(content) - 1),
+            min_size=1,
+            max_size=20,
+        )
+    ):
         content[place] = data.draw(st.integers(0, 255))
     file.write_bytes(content)
     try:

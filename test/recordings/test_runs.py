@@ -383,7 +383,13 @@ def measured(
     """What motors report: noise on all joints, a rest level each, and still joints but for the one that moves most."""
     generator = np.random.default_rng(seed)
     noisy = {
-        name: currents.get(name, 0.0) + rest + generator.normal(0.0, sigma_A, len(cycles()))
+        name: currents.get(name, 0.0)
+        + rest
+        + generator.normal(
+            0.0,
+            sigma_A,
+            len(cycles()),
+        )
         for name, rest in zip(JOINTS, rest_A, strict=True)
     }
     still = {name: np.zeros(len(cycles())) for name in JOINTS}
@@ -553,7 +559,7 @@ def broadcast(original: Recording, times: int) -> Recording:
         return None if values is None else np.repeat(values, times, axis=0)
 
     faster = JointRecord(
-        stamps, joints.names, np.repeat(joints.position, times, axis=0), again(joints.velocity), again(joints.effort),
+        stamps, joints.names, np.repeat(joints.position, times, axis=0,), again(joints.velocity), again(joints.effort),
         again(joints.current), again(joints.reported_effort),
     )  # fmt: skip
     return replace(original, joints=faster)

@@ -46,7 +46,12 @@ def test_a_plain_bag_needs_no_repair(tmp_path: Path, storage: str) -> None:
 
 def test_extra_joints_are_kept_and_may_turn_far(tmp_path: Path) -> None:
     messages = [
-        state(time_ns, [120.0, *positions(time_ns)], ["wheel", *JOINTS]) for time_ns in times()
+        state(
+            time_ns,
+            [120.0, *positions(time_ns)],
+            ["wheel", *JOINTS],
+        )
+        for time_ns in times()
     ]
     recording = read(write_bag(tmp_path / "bag", messages + commands()))
     assert recording.joints.names == ("wheel", *JOINTS)
@@ -152,7 +157,12 @@ def test_stamps_out_of_order_are_sorted(tmp_path: Path) -> None:
     stamps = times()
     stamps[10], stamps[11] = stamps[11], stamps[10]
     messages = [
-        state(t, positions(stamp), stamp_ns=stamp) for t, stamp in zip(times(), stamps, strict=True)
+        state(
+            t,
+            positions(stamp),
+            stamp_ns=stamp,
+        )
+        for t, stamp in zip(times(), stamps, strict=True)
     ]
     recording = read(write_bag(tmp_path / "bag", messages + commands()))
     assert "1 of 41 stamps go back in time" in notes(recording)
@@ -206,7 +216,11 @@ def test_another_clock_in_the_headers_moves_unstamped_messages_and_commands(tmp_
     assert "another clock" in notes(recording)
 
 
-@pytest.mark.parametrize("scale", [180.0 / np.pi, 4096 / (2.0 * np.pi)], ids=["degrees", "counts"])
+@pytest.mark.parametrize(
+    "scale",
+    [180.0 / np.pi, 4096 / (2.0 * np.pi)],
+    ids=["degrees", "counts"],
+)
 def test_positions_that_are_no_radians(tmp_path: Path, scale: float) -> None:
     messages = [state(time_ns, [scale * q for q in positions(time_ns)]) for time_ns in times()]
     with refused("joint2 stands at -[0-9.]+, .*degrees, millimetres or encoder counts"):
@@ -302,7 +316,13 @@ def test_joints_without_torque_constant(tmp_path: Path) -> None:
     assert measured.inputs.names == ("joint3",)
     assert measured.inputs.current_A[0, 0] == 0.4
     applied = [
-        state(t, [], effort=[0.0, 0.0, 0.6, 0.0, 0.0], topic="/applied_effort") for t in times()
+        state(
+            t,
+            [],
+            effort=[0.0, 0.0, 0.6, 0.0, 0.0],
+            topic="/applied_effort",
+        )
+        for t in times()
     ]
     recording = read(
         write_bag(tmp_path / "applied", states() + applied), nominal_torque_constants=some
@@ -357,9 +377,11 @@ def test_real_recordings(shared: Path) -> None:
     assert arm.inputs is not None and arm.joints.current is not None
     assert arm.inputs.names == JOINTS[:4]
     # its README: the measured current follows one cycle later at 0.98-0.99 of the command
-    gain = np.linalg.lstsq(arm.inputs.current_A[:-1, 1:2], arm.joints.current[1:, 1], rcond=None)[
-        0
-    ][0]
+    gain = np.linalg.lstsq(
+        arm.inputs.current_A[:-1, 1:2],
+        arm.joints.current[1:, 1],
+        rcond=None,
+    )[0][0]
     assert 0.97 < gain < 1.0
     pendulum = read(real / "sts3215_release_0.535kg")
     assert pendulum.inputs is None

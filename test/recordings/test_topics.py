@@ -78,7 +78,12 @@ def test_each_arm_has_its_own_input(tmp_path: Path) -> None:
 
 def test_the_only_joint_state_topic_is_taken_whatever_its_name(tmp_path: Path) -> None:
     applied = [
-        state(t, [], effort=[1.783 * i for i in currents(t)], topic="/applied_effort")
+        state(
+            t,
+            [],
+            effort=[1.783 * i for i in currents(t)],
+            topic="/applied_effort",
+        )
         for t in times()
     ]
     recording = read(write_bag(tmp_path / "bag", states(topic="/feedback") + applied))
@@ -88,7 +93,13 @@ def test_the_only_joint_state_topic_is_taken_whatever_its_name(tmp_path: Path) -
 
 def test_the_other_joint_states_are_the_command_that_the_user_names(tmp_path: Path) -> None:
     desired = [
-        state(t, [], effort=[1.783 * i for i in currents(t)], topic="/desired") for t in times()
+        state(
+            t,
+            [],
+            effort=[1.783 * i for i in currents(t)],
+            topic="/desired",
+        )
+        for t in times()
     ]
     path = write_bag(tmp_path / "bag", states(topic="/feedback") + desired)
     with refused("choose with --state-topic from: /desired .*, /feedback"):

@@ -24,7 +24,13 @@ def test_what_is_written_is_read_back_bit_by_bit(
     tmp_path_factory: pytest.TempPathFactory, storage: str, data: st.DataObject
 ) -> None:
     count = data.draw(st.integers(5, 12))
-    gaps = data.draw(st.lists(st.integers(10**6, 10**9), min_size=count, max_size=count))
+    gaps = data.draw(
+        st.lists(
+            st.integers(10**6, 10**9),
+            min_size=count,
+            max_size=count,
+        )
+    )
     names = tuple(
         data.draw(
             st.lists(
@@ -94,7 +100,13 @@ def test_writing_without_an_input_and_refusals(tmp_path: Path) -> None:
 
 
 @settings(max_examples=20, deadline=None)
-@given(places=st.lists(st.floats(0.0, 1.0), min_size=1, max_size=8))
+@given(
+    places=st.lists(
+        st.floats(0.0, 1.0),
+        min_size=1,
+        max_size=8,
+    )
+)
 def test_a_bag_of_ours_that_was_damaged_is_refused(
     tmp_path_factory: pytest.TempPathFactory, places: list[float]
 ) -> None:

@@ -261,7 +261,11 @@ def dark(
     return dict(
         zip(
             NAMES,
-            look.frames(MEASURE, [(pages[name], 1400, str) for name in NAMES], DARK),
+            look.frames(
+                MEASURE,
+                [(pages[name], 1400, str) for name in NAMES],
+                DARK,
+            ),
             strict=True,
         )
     )

@@ -128,7 +128,11 @@ def test_the_page_has_everything(estimate: Estimate, tmp_path: Path) -> None:
     )
     assert "?" not in text and "kg m^2" not in text
     inertia = estimate.value("payload_inertia")
-    for name, value in zip(("xx", "xy", "xz", "yy", "yz", "zz"), inertia.value, strict=True):
+    for name, value in zip(
+        ("xx", "xy", "xz", "yy", "yz", "zz"),
+        inertia.value,
+        strict=True,
+    ):
         assert (f"inertia, {name}" in text) or value is None
     assert (
         "centre of mass of the payload, y" in text
@@ -219,7 +223,14 @@ def test_the_ellipsoid_is_the_homogeneous_one(tmp_path: Path) -> None:
         0.5 * half,
     )
     assert (
-        held_views(robot, still, (0.0, CENTRE_M, inertia), "assumed", 0.5 * half)[0].body is None
+        held_views(
+            robot,
+            still,
+            (0.0, CENTRE_M, inertia),
+            "assumed",
+            0.5 * half,
+        )[0].body
+        is None
     ), "nothing has no body"
     assert (side.side, above.side) == ("from the side", "from above")
     for view, axes in ((side, [0, 2]), (above, [0, 1])):

@@ -210,7 +210,16 @@ def test_no_fixed_ink(bags: Path, estimate: Estimate, tmp_path: Path) -> None:
     figures = "".join(re.findall(r"<svg.*</svg>", page, flags=re.S))
     assert figures and not re.search(r"#[0-9a-f]{3,6}|black|white", figures)
     block = squeeze_figure(
-        [SqueezeCurve("a", 0.03, np.arange(3.0), np.arange(3.0) / 30.0, np.arange(3.0), ())]
+        [
+            SqueezeCurve(
+                "a",
+                0.03,
+                np.arange(3.0),
+                np.arange(3.0) / 30.0,
+                np.arange(3.0),
+                (),
+            )
+        ]
     )
     assert "var(--ink)" in block and not re.search(r"#1b2430|#000000|#8a94a3|#e4e8ee", block)
 
@@ -228,7 +237,14 @@ def test_numbers_have_the_digits_that_they_are_known_to() -> None:
 
 def test_dollar_signs_are_no_mathematics() -> None:
     named = [
-        SqueezeCurve(name, 0.03, np.arange(3.0), np.arange(3.0) / 30.0, np.arange(3.0), ())
+        SqueezeCurve(
+            name,
+            0.03,
+            np.arange(3.0),
+            np.arange(3.0) / 30.0,
+            np.arange(3.0),
+            (),
+        )
         for name in ("$a_{1}$", "b")
     ]
     assert "$a_{1}$" in squeeze_figure(named)

@@ -60,7 +60,13 @@ def test_text_that_is_decoded_already_is_not_decoded_again(tmp_path: Path) -> No
     assert heard.path is not None
     assert "\u00e9" in [
         each.name
-        for each in Workspace(tmp_path, str(heard.path), TORQUE).configured({}).model.links
+        for each in Workspace(
+            tmp_path,
+            str(heard.path),
+            TORQUE,
+        )
+        .configured({})
+        .model.links
     ]
 
 

@@ -222,7 +222,7 @@ ARM = (joint("j1"), joint("j2", "one", "two"), joint("j3", "two", "three"))
     ("joints", "hand"),
     [
         ((fixed("f", "three", "flange"), fixed("h", "flange", "arm_hand"), fixed("t", "arm_hand", "arm_hand_tcp"),
-          finger("left", "arm_hand", "l", kind="prismatic"), finger("r", "arm_hand", "r", MIMIC, "prismatic")), "arm_hand_tcp"),
+          finger("left", "arm_hand", "l", kind="prismatic"), finger("r", "arm_hand", "r", MIMIC, "prismatic",)), "arm_hand_tcp"),
         ((fixed("s", "three", "gripperStator"), finger("jointGripper", "gripperStator", "gripperMover")), "gripperStator"),
         ((finger("j4", "three", "moving_jaw"),), "three"),
         ((finger("left", "three", "l"), finger("right", "three", "r", MIMIC)), "three"),

@@ -202,7 +202,11 @@ BAD_FILES = {
 }
 
 
-@pytest.mark.parametrize(("old", "new", "message"), BAD_FILES.values(), ids=BAD_FILES.keys())
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    BAD_FILES.values(),
+    ids=BAD_FILES.keys(),
+)
 def test_bad_robot_file_is_refused_in_one_line(
     folder: Path, old: str, new: str, message: str
 ) -> None:
@@ -333,7 +337,12 @@ def test_a_bare_urdf_is_a_robot_once_its_torque_constants_are_stated(folder: Pat
 def test_links_that_move_without_mass_are_named(folder: Path) -> None:
     links = link("base") + link("one", "") + link("two") + link("three", "")
     (folder / "arm.urdf").write_text(
-        chain(joint("a"), joint("b", "base", "two"), joint("c", "two", "three"), links=links)
+        chain(
+            joint("a"),
+            joint("b", "base", "two"),
+            joint("c", "two", "three"),
+            links=links,
+        )
     )
     with pytest.raises(
         RobotError, match=r"arm\.urdf: no <inertial> in links that move: one, three; state mass"

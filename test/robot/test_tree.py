@@ -463,7 +463,13 @@ def test_bad_gravity_and_unknown_frame_are_refused() -> None:
 
 def test_massless_link_that_merges_with_a_heavy_one_is_fine() -> None:
     links = link("base") + link("one", "") + link("two")
-    model = RobotModel.from_urdf_string(chain(joint("a"), joint("b", "one", "two"), links=links))
+    model = RobotModel.from_urdf_string(
+        chain(
+            joint("a"),
+            joint("b", "one", "two"),
+            links=links,
+        )
+    )
     assert model.lock(["a"], {"b": 0.3}).pseudo_inertia[0, 3, 3] == 1.0
 
 

@@ -170,7 +170,11 @@ def test_a_frame_that_an_exporter_gave_a_speck_of_mass_has_none(mass: str) -> No
     assert not link_one.pseudo_inertia.any()
 
 
-@pytest.mark.parametrize(("urdf", "message"), BAD_URDF.values(), ids=BAD_URDF.keys())
+@pytest.mark.parametrize(
+    ("urdf", "message"),
+    BAD_URDF.values(),
+    ids=BAD_URDF.keys(),
+)
 def test_bad_urdf_is_refused_in_one_line(urdf: str, message: str) -> None:
     with pytest.raises(RobotError) as caught:
         RobotModel.from_urdf_string(urdf)

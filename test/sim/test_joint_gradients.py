@@ -58,7 +58,11 @@ def point(seed: int) -> np.ndarray:
 def test_sensitivities_against_central_differences(integrator: str, seed: int) -> None:
     sim = simulator(integrator)
     p = point(seed)
-    exact = sim.jacobian(ONE, p, np.eye(len(PARAMETERS))[None])[2].copy()
+    exact = sim.jacobian(
+        ONE,
+        p,
+        np.eye(len(PARAMETERS))[None],
+    )[2].copy()
     for name, row in INDEX.items():
         # the rise of friction at rest moves little: its difference must rise above the rounding of a stiff rollout
         step = 1e-4 if name.startswith("stribeck") else 1e-6 * max(1e-1, abs(SCALES[name]))
@@ -109,7 +113,11 @@ def test_many_directions_equal_one_at_a_time() -> None:
     directions = rng.normal(size=(1, len(PARAMETERS), 20))
     together = sim.jacobian(ONE, p, directions)[2].copy()
     for column in range(20):
-        alone = sim.jacobian(ONE, p, directions[:, :, column : column + 1])[2]
+        alone = sim.jacobian(
+            ONE,
+            p,
+            directions[:, :, column : column + 1],
+        )[2]
         np.testing.assert_allclose(
             together[..., column],
             alone[..., 0],

@@ -213,7 +213,12 @@ def test_against_an_independent_solver(delay: float) -> None:
         np.nan,
     )
     state = np.array([law["q0"], law["v0"]])
-    for begin, end, current in zip(switches, [*switches[1:], 0.7], currents, strict=True):
+    for begin, end, current in zip(
+        switches,
+        [*switches[1:], 0.7],
+        currents,
+        strict=True,
+    ):
         inside = (wanted > begin) & (wanted <= end)
         solution = solve_ivp(
             motion,
@@ -313,7 +318,15 @@ def test_what_cannot_be_simulated_is_said() -> None:
         JointSimulator([constant_run(np.array([0.1]))], "euler")
     with pytest.raises(SimulationError, match="at least one sample"):
         JointSimulator([constant_run(np.zeros(0))])
-    tiny = JointSimulator([constant_run(np.array([1.0]), step_s=1e-6, fine_step_s=1e-6)])
+    tiny = JointSimulator(
+        [
+            constant_run(
+                np.array([1.0]),
+                step_s=1e-6,
+                fine_step_s=1e-6,
+            )
+        ]
+    )
     with pytest.raises(SimulationError, match="too many for a tape"):
         tape(tiny, ONE, parameters())
 

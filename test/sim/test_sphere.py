@@ -45,7 +45,7 @@ def parameters(
     known = {
         "inertia": 0.02, "sphere_mass": 0.03, "stiffness": contact.stiffness, "damping": contact.damping,
         "traction": contact.traction, "friction": contact.friction, "torque_constant": 1.0, "stribeck_velocity": 0.1,
-        **dict(zip(("start_x", "start_y", "start_z"), np.asarray(start, dtype=float), strict=True)),
+        **dict(zip(("start_x", "start_y", "start_z"), np.asarray(start, dtype=float), strict=True,)),
     }  # fmt: skip
     for name, value in {**known, **values}.items():
         p[0, SPHERE_INDEX[name]] = value
@@ -109,7 +109,12 @@ def test_a_sphere_that_touches_nothing_is_a_projectile(kind: str) -> None:
     v0 = 1.5
     sim = simulator(times, large, kind, current=0.05, step=1e-3)
     q, v, x, u, spin = (
-        s[0] for s in states_of(sim, ONE, parameters(start=start, q0=q0, v0=v0, gravity_cos=0.03))
+        s[0]
+        for s in states_of(
+            sim,
+            ONE,
+            parameters(start=start, q0=q0, v0=v0, gravity_cos=0.03),
+        )
     )
     assert abs(v[-1] - v[0]) > 0.1
     begin = world_place(kind, np.array([q0]), start[None])[0]
@@ -251,7 +256,14 @@ def test_the_weight_of_a_sphere_at_rest_is_on_the_joint(kind: str) -> None:
             (AXIS @ np.cross(there, weight) - held_back) / inertia,
         ]
 
-    exact = solve_ivp(rigid, (0.0, times[-1]), [0.0, 0.0], rtol=1e-10, atol=1e-12, t_eval=times).y
+    exact = solve_ivp(
+        rigid,
+        (0.0, times[-1]),
+        [0.0, 0.0],
+        rtol=1e-10,
+        atol=1e-12,
+        t_eval=times,
+    ).y
     assert abs(exact[0, -1]) > 2e-3
     np.testing.assert_allclose(
         q[0],
@@ -291,7 +303,14 @@ def test_a_ball_on_an_inclined_plane(
         gravity=gravity,
         law=law,
     )
-    _, _, x, u, spin = (s[0] for s in states_of(sim, ONE, parameters(contact, start, inertia=HELD)))
+    _, _, x, u, spin = (
+        s[0]
+        for s in states_of(
+            sim,
+            ONE,
+            parameters(contact, start, inertia=HELD),
+        )
+    )
     acceleration = np.diff(u[:, 0])[0] / 0.4
     rolls = np.tan(tilt) < friction * (1.0 + 1.0 / kappa)
     expected = (
@@ -367,7 +386,15 @@ def test_energy_and_momentum_without_losses(kind: str, shape: str, law: str) -> 
     """Energy stays, and momentum about the joint's axis changes by gravity's impulse alone, through every bounce."""
     inside = ROUND[shape]
     p = parameters(
-        Contact(HARD.stiffness, 0.0, 0.0, 0.0), (0.006, 0.004, -0.005), sphere_mass=0.1, **FALLS
+        Contact(
+            HARD.stiffness,
+            0.0,
+            0.0,
+            0.0,
+        ),
+        (0.006, 0.004, -0.005),
+        sphere_mass=0.1,
+        **FALLS,
     )
     if kind == "prismatic":
         p[0, SPHERE_INDEX["inertia"]] = 0.3
@@ -492,7 +519,14 @@ def test_only_the_papers_law_pulls(law: str, pulls: bool) -> None:
         step=2e-6,
         law=law,
     )
-    _, _, x, u, _ = (s[0] for s in states_of(sim, ONE, parameters(start=start, inertia=HELD)))
+    _, _, x, u, _ = (
+        s[0]
+        for s in states_of(
+            sim,
+            ONE,
+            parameters(start=start, inertia=HELD),
+        )
+    )
     assert x[-1, 2] > -BOX.room[2]  # it left
     force = np.diff(u[:, 2]) / 2e-6
     assert force.max() > 0.5 * HARD.stiffness * 1e-3
@@ -693,7 +727,12 @@ def test_against_plain_equations_in_the_world(kind: str) -> None:
     without[0, SPHERE_INDEX["sphere_mass"]] = 0.0
     assert (
         np.abs(
-            states_of(simulator(times, kind=kind, current=0.12), ONE, without)[0] - states[0]
+            states_of(
+                simulator(times, kind=kind, current=0.12),
+                ONE,
+                without,
+            )[0]
+            - states[0]
         ).max()
         > 1e-3
     )

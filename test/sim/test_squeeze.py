@@ -134,7 +134,14 @@ def test_sensitivities_against_central_differences(
     """Where the fingers touch within a step, the rollout has a kink: differences see it, by 1e-4 of the largest."""
     sim = simulator(bonded, integrator, bend)
     p = point(seed)
-    q, _, exact = (array.copy() for array in sim.jacobian(ONE, p, np.eye(len(SCALES))[None]))
+    q, _, exact = (
+        array.copy()
+        for array in sim.jacobian(
+            ONE,
+            p,
+            np.eye(len(SCALES))[None],
+        )
+    )
     assert sim.squeeze(ONE, p, q).max() > 0.1
     touched = p[0, SQUEEZE_INDEX["gap"]] < 0.0
     for name, row in SQUEEZE_INDEX.items():
@@ -303,7 +310,11 @@ def test_the_explicit_block_moves_the_gripper_the_same_way(
         mass,
         TRAVEL,
     )
-    explicit = body.rollout(SoftRun(np.zeros(1), np.array([torque]), 60), soft, "starts").q[0]
+    explicit = body.rollout(
+        SoftRun(np.zeros(1), np.array([torque]), 60),
+        soft,
+        "starts",
+    ).q[0]
     assert SqueezeSimulator([run]).squeeze(ONE, p, q[None]).max() > 0.25
     rms = float(np.sqrt(np.mean((q - explicit) ** 2))) / COUNT
     assert rms < counts
@@ -320,7 +331,11 @@ def test_it_rests_where_the_table_says(bonded: Response) -> None:
     )
     sim = SqueezeSimulator([run])
     p = parameters(viscous=0.06, poissons_ratio=0.3, gap=0.002)
-    s = sim.squeeze(ONE, p, sim.rollout(ONE, p)[0])[0, 0]
+    s = sim.squeeze(
+        ONE,
+        p,
+        sim.rollout(ONE, p)[0],
+    )[0, 0]
     assert 12000.0 * EDGE**2 * bonded(s, 0.3)[0] == pytest.approx(0.05 / TRAVEL, rel=1e-9)
 
 
@@ -370,7 +385,12 @@ def test_a_joint_that_closes_backwards_is_the_mirror_image(bonded: Response) -> 
     )
     p = parameters(viscous=0.01, coulomb=0.005, poissons_ratio=0.3, gap=0.001, block_viscosity=30.0)
     q = SqueezeSimulator([run, other]).rollout(
-        np.array([0, 1], dtype=np.int32), np.repeat(p, 2, axis=0)
+        np.array([0, 1], dtype=np.int32),
+        np.repeat(
+            p,
+            2,
+            axis=0,
+        ),
     )[0]
     np.testing.assert_allclose(
         q[1],

@@ -38,7 +38,14 @@ def main() -> None:
         states.publish(
             joint_state(stamp_ns, message.name, message.position, [math.nan] * len(message.name))
         )
-        other.publish(joint_state(stamp_ns + 3_000_000, ["wheel"], [0.1 * turns], [math.nan]))
+        other.publish(
+            joint_state(
+                stamp_ns + 3_000_000,
+                ["wheel"],
+                [0.1 * turns],
+                [math.nan],
+            )
+        )
 
     node.create_subscription(JointState, "/hardware/joint_states", on_state, 100)
     if "--obey" in sys.argv[1:]:

@@ -437,7 +437,14 @@ def tape_gradient(
             wp.zeros((len(p), capacity), dtype=kind, device="cpu")
             for kind in (FLOAT, FLOAT, wp.int32)
         ]
-        written += [wp.zeros(size, dtype=wp.int32, device="cpu") for size in (len(p), shape[:2])]
+        written += [
+            wp.zeros(
+                size,
+                dtype=wp.int32,
+                device="cpu",
+            )
+            for size in (len(p), shape[:2])
+        ]
         run = [
             sim._fixed,
             sim._samples,
@@ -464,7 +471,12 @@ def tape_gradient(
         FLOAT,
     )
     q, v = (
-        wp.zeros((len(p), capacity + 1), dtype=sim._vec, device="cpu", requires_grad=True)
+        wp.zeros(
+            (len(p), capacity + 1),
+            dtype=sim._vec,
+            device="cpu",
+            requires_grad=True,
+        )
         for _ in range(2)
     )
     sampled = wp.zeros(

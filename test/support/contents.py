@@ -162,7 +162,15 @@ class Liquid(_Particles):
             ),
             axis=-1,
         )
-        x = (grid.reshape(-1, 3) + 0.3 * rng.uniform(-0.5, 0.5, (grid.size // 3, 3))) * (
+        x = (
+            grid.reshape(-1, 3)
+            + 0.3
+            * rng.uniform(
+                -0.5,
+                0.5,
+                (grid.size // 3, 3),
+            )
+        ) * (
             0.5 * cell,
             0.5 * cell,
             fill / tall,

@@ -203,4 +203,13 @@ class Pendulum:
         times_ns = 1_000_000_000 + np.rint(1e9 * stamps_s).astype(np.int64)
         off = (int(1_000_000_000 + 1e9 * RELEASED_S), int(times_ns[-1]) + 1)
         joints = JointRecord(times_ns, ("pendulum",), reading[:, None])
-        return cut_runs(Recording(name, joints, None, (), (off,)), joints=["pendulum"])[0]
+        return cut_runs(
+            Recording(
+                name,
+                joints,
+                None,
+                (),
+                (off,),
+            ),
+            joints=["pendulum"],
+        )[0]

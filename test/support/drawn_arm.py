@@ -22,7 +22,13 @@ def write_urdf(path: Path, count: int, seed: int) -> Path:
     parts = ['<link name="base"/>']
     parent = "base"
     reach = 0.0
-    for number, (name, axis) in enumerate(zip(joints_of(count), AXES[count], strict=True)):
+    for number, (name, axis) in enumerate(
+        zip(
+            joints_of(count),
+            AXES[count],
+            strict=True,
+        )
+    ):
         share = 1.0 - 0.75 * number / count
         mass = 3.0 * share * random.uniform(0.7, 1.3)
         length = share * random.uniform(0.1, 0.3)

@@ -199,7 +199,13 @@ class ForeignArm:
 
     def positions(self) -> list[float]:
         """In the order of `BROADCAST` [rad], as encoders count."""
-        read = dict(zip(JOINTS, np.rint(self.data.qpos / COUNT_RAD) * COUNT_RAD, strict=True))
+        read = dict(
+            zip(
+                JOINTS,
+                np.rint(self.data.qpos / COUNT_RAD) * COUNT_RAD,
+                strict=True,
+            )
+        )
         return [float(read.get(name, 0.25)) for name in BROADCAST]
 
 

@@ -53,7 +53,11 @@ class Hand:
         self.time_s = 10.0
         self.spheres: list[FloatArray] = []
         goals = dict(
-            zip(JOINTS, (self.arm.shaft_rad() * list(SCALE.values())).tolist(), strict=True)
+            zip(
+                JOINTS,
+                (self.arm.shaft_rad() * list(SCALE.values())).tolist(),
+                strict=True,
+            )
         )
         self.waiting = deque([Command(goals)] * round(truth.latency_s / PERIOD_S))
 
@@ -83,7 +87,13 @@ class Hand:
             least, most = (
                 (volts - BACK_EMF_V_S * speeds) / RESISTANCE_OHM for volts in (-SUPPLY_V, SUPPLY_V)
             )
-            self.arm.step(np.clip(current, np.maximum(least, -1.0), np.minimum(most, 1.0)))
+            self.arm.step(
+                np.clip(
+                    current,
+                    np.maximum(least, -1.0),
+                    np.minimum(most, 1.0),
+                )
+            )
             if isinstance(self.arm.object, Container):
                 self.spheres.append(self.arm.object.sphere_m(self.arm))
         self.time_s += 1.0 / RATE_HZ

@@ -35,7 +35,16 @@ class Hand:
             * paper_hand.COUNT_RAD_S
             * np.rint(self.arm.velocity_rad_s() / paper_hand.COUNT_RAD_S)
         )
-        named = [dict(zip(joints, row.tolist(), strict=True)) for row in (position, velocity)]
+        named = [
+            dict(
+                zip(
+                    joints,
+                    row.tolist(),
+                    strict=True,
+                )
+            )
+            for row in (position, velocity)
+        ]
         return JointSample(self.time_s, *named)
 
     def _joints(self) -> tuple[tuple[str, ...], np.ndarray]:

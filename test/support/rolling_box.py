@@ -115,7 +115,11 @@ def draw(seed: int) -> list[Case]:
             start = float(rng.uniform(-0.12, -0.04))
             swing = rng.uniform(0.14, 0.22)
             times = 0.1 * np.arange(6)
-            current = holding + swing * np.where(np.arange(6) % 2 == 0, 1.0, -1.0)
+            current = holding + swing * np.where(
+                np.arange(6) % 2 == 0,
+                1.0,
+                -1.0,
+            )
         cases.append(
             Case(
                 f"{name}{row}",

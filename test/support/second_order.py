@@ -35,7 +35,15 @@ def bonded_force(
     n = 2 * elements + 1
     h = edge / 2.0 / elements
     grid = np.linspace(0.0, edge / 2.0, n)
-    points = np.stack(np.meshgrid(grid, grid, grid, indexing="ij"), axis=-1).reshape(-1, 3)
+    points = np.stack(
+        np.meshgrid(
+            grid,
+            grid,
+            grid,
+            indexing="ij",
+        ),
+        axis=-1,
+    ).reshape(-1, 3)
     number = np.arange(n**3).reshape(
         n,
         n,

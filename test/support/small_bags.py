@@ -74,7 +74,15 @@ def command(
     dtype = np.float32 if "32" in msgtype else np.float64
     content = TYPES.types[msgtype](
         layout=layout(
-            dim=[dimension(label=label, size=1, stride=1) for label in labels], data_offset=0
+            dim=[
+                dimension(
+                    label=label,
+                    size=1,
+                    stride=1,
+                )
+                for label in labels
+            ],
+            data_offset=0,
         ),
         data=np.array(current, dtype=dtype),
     )

@@ -124,7 +124,13 @@ def schedule(law: PlainLaw) -> Any:
                     while last == 0 and (capacity == 0 or n < capacity):
                         h = coarse
                         if fine < coarse:
-                            if still(y, rates(y, u, p, w, data, r), data, r, coarse):
+                            if still(
+                                y,
+                                rates(y, u, p, w, data, r),
+                                data,
+                                r,
+                                coarse,
+                            ):
                                 h = fine
                         dh = FLOAT(0.0)
                         if t + h > end - FLOAT(TIME_EPS):

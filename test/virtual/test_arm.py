@@ -191,7 +191,12 @@ def test_a_resting_sphere_weighs(robot: Robot) -> None:
     assert place == pytest.approx((0.018, 0.0, -0.008), abs=5e-5)
     spot = (0.01 + place[0], place[1], 0.005 + place[2])
     assert torque == pytest.approx(
-        holding_torque(robot, arm.position(), [(0.03, box.centre_m), (0.05, spot)]), abs=2e-5
+        holding_torque(
+            robot,
+            arm.position(),
+            [(0.03, box.centre_m), (0.05, spot)],
+        ),
+        abs=2e-5,
     )
 
 
@@ -216,7 +221,10 @@ def test_friction_holds_below_and_yields_above(pendulum: Robot) -> None:
 
 def test_friction_grows_with_the_motor_torque(pendulum: Robot) -> None:
     # 0.4 N m against gravity's 0.589 sin q: sticks while |0.4 - 0.589 sin q| < 0.2 x 0.4
-    arm = VirtualArm(pendulum, truth_of(pendulum, JointTruth(1.0, load_friction=0.2)))
+    arm = VirtualArm(
+        pendulum,
+        truth_of(pendulum, JointTruth(1.0, load_friction=0.2)),
+    )
     inside = math.asin(0.47 / 0.5886)
     outside = math.asin(0.49 / 0.5886)
     for start, moves in ((inside, False), (outside, True)):
@@ -233,14 +241,23 @@ def test_stribeck_against_its_equation(pendulum: Robot) -> None:
     drive(arm, 0.28, 1.0)
     assert abs(arm.shaft_rad()[0]) < 1e-4  # above the sliding friction, below the sticking one
 
-    def rate(_: float, state: FloatArray) -> tuple[float, float]:
+    def rate(
+        _: float,
+        state: FloatArray,
+    ) -> tuple[float, float]:
         q, v = state
         dry = 0.2 * (1.0 + 0.5 * math.exp(-((v / 0.12) ** 2)))
         return v, (0.45 - dry - 0.01 * v - 0.2 * 9.81 * 0.3 * math.sin(q)) / (0.018008 + 0.02)
 
     arm.set_position({"pivot": 0.0})
     drive(arm, 0.45, 0.2)
-    end = solve_ivp(rate, (0.0, 0.2), (0.0, 0.0), rtol=1e-9, atol=1e-9).y[:, -1]
+    end = solve_ivp(
+        rate,
+        (0.0, 0.2),
+        (0.0, 0.0),
+        rtol=1e-9,
+        atol=1e-9,
+    ).y[:, -1]
     assert arm.shaft_rad()[0] == pytest.approx(end[0], abs=1e-5)
     assert arm.velocity_rad_s()[0] == pytest.approx(end[1], abs=1e-4)
 
@@ -284,7 +301,11 @@ def test_a_slide_counts_at_the_shaft(robot: Robot) -> None:
     )
     arm = VirtualArm(
         robot,
-        truth_of(robot, JointTruth(1.7, armature=1e5), **{GRIPPER: hidden}),
+        truth_of(
+            robot,
+            JointTruth(1.7, armature=1e5),
+            **{GRIPPER: hidden},
+        ),
     )
     for _ in range(100):
         arm.step(np.array([0.0, 0.0, 0.0, 0.0, 0.1]))
@@ -335,7 +356,11 @@ def test_a_falling_arm_keeps_its_energy(robot: Robot) -> None:
     joint_speed = {
         name: rate * robot.drive_trains[name].transmission for name, rate in speed.items()
     }
-    now = potential(robot, arm.position(), []) + kinetic(robot, arm.position(), joint_speed)
+    now = potential(robot, arm.position(), []) + kinetic(
+        robot,
+        arm.position(),
+        joint_speed,
+    )
     now += 0.5 * 0.01 * sum(rate**2 for rate in speed.values())
     work = 1.8 * 0.1 * (arm.position()["joint1"] - 0.3)
     assert max(map(abs, speed.values())) > 1.0
@@ -420,7 +445,12 @@ def test_a_point_in_the_hand(robot: Robot) -> None:
     arm = VirtualArm(robot, truth_of(robot, SMOOTH))
     arm.hold(Payload(0.1, size_m=0.0))
     assert 1.8 * settled(arm) == pytest.approx(
-        holding_torque(robot, arm.position(), [(0.1, (0.0, 0.0, 0.0))]), abs=2e-6
+        holding_torque(
+            robot,
+            arm.position(),
+            [(0.1, (0.0, 0.0, 0.0))],
+        ),
+        abs=2e-6,
     )
 
 
@@ -653,7 +683,12 @@ def test_encoders(robot: Robot) -> None:
         true - 0.02 + 0.003 * np.sin(true) - 0.002 * np.cos(true), abs=1e-12
     )
     noisy = VirtualArm(
-        robot, truth_of(robot, replace(hidden, encoder_noise_rad=0.001)), position=POSE
+        robot,
+        truth_of(
+            robot,
+            replace(hidden, encoder_noise_rad=0.001),
+        ),
+        position=POSE,
     )
     noise = np.array([noisy.encoder_rad() for _ in range(2000)]) - arm.encoder_rad()
     assert np.std(noise, axis=0) == pytest.approx(0.001, rel=0.1)

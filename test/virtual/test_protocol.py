@@ -44,11 +44,29 @@ awkward = st.lists(st.sampled_from([0xFF, 0xFD, 0x00, 0x55, 0x07]), max_size=40)
     [
         (encode_instruction(1, Code.PING), PING),
         (encode_status(1, 0, bytes.fromhex("06 04 26")), PING_STATUS),
-        (encode_instruction(1, Code.READ, bytes([132, 0, 4, 0])), READ),
-        (encode_status(1, 0, bytes.fromhex("A6 00 00 00")), READ_STATUS),
-        (encode_instruction(1, Code.WRITE, bytes([116, 0, 0, 2, 0, 0])), WRITE),
         (
-            encode_instruction(BROADCAST_ID, Code.FAST_SYNC_READ, bytes([132, 0, 4, 0, 3, 7, 4])),
+            encode_instruction(
+                1,
+                Code.READ,
+                bytes([132, 0, 4, 0]),
+            ),
+            READ,
+        ),
+        (encode_status(1, 0, bytes.fromhex("A6 00 00 00")), READ_STATUS),
+        (
+            encode_instruction(
+                1,
+                Code.WRITE,
+                bytes([116, 0, 0, 2, 0, 0]),
+            ),
+            WRITE,
+        ),
+        (
+            encode_instruction(
+                BROADCAST_ID,
+                Code.FAST_SYNC_READ,
+                bytes([132, 0, 4, 0, 3, 7, 4]),
+            ),
             FAST,
         ),
         (
@@ -96,8 +114,16 @@ def test_stuffing_is_undone(body: bytes) -> None:
 
 
 @settings(deadline=None)
-@given(st.integers(0, 252), awkward, st.lists(st.integers(0, 60), max_size=5))
-def test_packets_survive_any_split(servo_id: int, params: bytes, cuts: list[int]) -> None:
+@given(
+    st.integers(0, 252),
+    awkward,
+    st.lists(st.integers(0, 60), max_size=5),
+)
+def test_packets_survive_any_split(
+    servo_id: int,
+    params: bytes,
+    cuts: list[int],
+) -> None:
     stream = encode_instruction(servo_id, Code.WRITE, params) + PING
     edges = [
         0,
@@ -117,7 +143,14 @@ def test_packets_survive_any_split(servo_id: int, params: bytes, cuts: list[int]
 def test_garbage_before_a_header_is_skipped(garbage: bytes) -> None:
     # FF at the end of the garbage, and FF FF FD FD, are no headers
     for noise in (garbage, garbage + b"\xff", garbage + b"\xff\xff\xfd\xfd"):
-        assert Parser().feed(noise + PING) == [Instruction(1, Code.PING, b"", len(PING))]
+        assert Parser().feed(noise + PING) == [
+            Instruction(
+                1,
+                Code.PING,
+                b"",
+                len(PING),
+            )
+        ]
 
 
 def test_a_damaged_packet_is_reported_and_the_next_one_is_read() -> None:

@@ -21,7 +21,9 @@ class Bench:
     """A servo with its rotor, and a clock that only `run` moves."""
 
     def __init__(
-        self, servo: VirtualServo | None = None, registers: Mapping[str, int] | None = None
+        self,
+        servo: VirtualServo | None = None,
+        registers: Mapping[str, int] | None = None,
     ) -> None:
         self.servo = servo or VirtualServo(XM430_W350, 1)
         for name, value in (registers or {}).items():
@@ -63,7 +65,16 @@ class Bench:
     def push(self, goal_current: int, goal_position: int) -> Error:
         """The goal block 102..119 as one write."""
         return self.servo.write(
-            102, struct.pack("<hiIIi", goal_current, 0, 0, 0, goal_position), self.now_s
+            102,
+            struct.pack(
+                "<hiIIi",
+                goal_current,
+                0,
+                0,
+                0,
+                goal_position,
+            ),
+            self.now_s,
         )
 
 
@@ -126,7 +137,14 @@ def test_writes_take_whole_registers() -> None:
     assert servo.write(117, b"\x00", 0.0) == Error.ACCESS, "in the middle of a register"
     assert servo.write(14, b"\x00", 0.0) == Error.ACCESS, "not defined"
     # Goal Position is good, Realtime Tick behind it is not: neither is written
-    assert servo.write(116, bytes([0, 1, 0, 0, 9, 9]), 0.0) == Error.ACCESS
+    assert (
+        servo.write(
+            116,
+            bytes([0, 1, 0, 0, 9, 9]),
+            0.0,
+        )
+        == Error.ACCESS
+    )
     assert servo["goal_position"] == 0
 
 

@@ -97,7 +97,10 @@ def desk() -> Desk:
 
 
 @pytest.fixture
-def plugged(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[PluggedDesk]:
+def plugged(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> Iterator[PluggedDesk]:
     # how long the library waits is not what is tested: servos and library are one process, on a machine that may be busy
     monkeypatch.setattr("dynamixel_sdk.port_handler.LATENCY_TIMER", 10_000)
     desk = PluggedDesk(tmp_path / "arm")
@@ -193,7 +196,19 @@ def test_sync_write_of_the_goal_block_pushes(desk: Desk) -> None:
     )
     for index, servo_id in enumerate(IDS):
         far = 1_048_575 if index % 2 else -1_048_575
-        assert group.addParam(servo_id, list(struct.pack("<hiIIi", 20 + index, 0, 0, 0, far)))
+        assert group.addParam(
+            servo_id,
+            list(
+                struct.pack(
+                    "<hiIIi",
+                    20 + index,
+                    0,
+                    0,
+                    0,
+                    far,
+                )
+            ),
+        )
     assert group.txPacket() == sdk.COMM_SUCCESS
     desk.handler.wait(0.1)
     for index, servo_id in enumerate(IDS):
@@ -339,7 +354,11 @@ class Line:
         self.port = MemoryPort(self.bus, lambda: self.now_s)
 
     def ask(
-        self, servo_id: int, code: int, params: bytes = b"", wait_s: float = 0.1
+        self,
+        servo_id: int,
+        code: int,
+        params: bytes = b"",
+        wait_s: float = 0.1,
     ) -> list[Instruction]:
         """Status packets with a correct CRC that come within a time."""
         self.port.write(encode_instruction(servo_id, code, params))
@@ -394,7 +413,14 @@ def test_broadcasts_but_ping_are_obeyed_silently() -> None:
     line = Line(fast_servos())
     assert line.ask(BROADCAST_ID, Code.WRITE, bytes([65, 0, 1])) == []
     assert [servo["led"] for servo in line.bus.servos] == [1] * 5
-    assert line.ask(BROADCAST_ID, Code.READ, bytes([65, 0, 1, 0])) == []
+    assert (
+        line.ask(
+            BROADCAST_ID,
+            Code.READ,
+            bytes([65, 0, 1, 0]),
+        )
+        == []
+    )
     assert [packet.id for packet in line.ask(BROADCAST_ID, Code.PING)] == list(IDS)
     assert line.ask(BROADCAST_ID, Code.REBOOT) == []
     assert line.ask(BROADCAST_ID, Code.PING) == []
@@ -459,7 +485,13 @@ def test_a_damaged_request_is_a_crc_error() -> None:
 
 def test_an_unfinished_request_is_given_up() -> None:
     line = Line(fast_servos())
-    line.port.write(encode_instruction(11, Code.WRITE, bytes([65, 0, 1]))[:-4])
+    line.port.write(
+        encode_instruction(
+            11,
+            Code.WRITE,
+            bytes([65, 0, 1]),
+        )[:-4]
+    )
     line.now_s += 0.05
     assert [packet.id for packet in line.ask(12, Code.PING)] == [12]
 
@@ -483,7 +515,16 @@ def test_drop_corrupt_and_delay_happen_as_often_as_asked() -> None:
         ("corrupt_requests", Faults(corrupt_requests=0.3)),
     ):
         line = Line(fast_servos(), faults)
-        counts[name] = sum(bool(line.ask(11, Code.PING, wait_s=0.02)) for _ in range(1000))
+        counts[name] = sum(
+            bool(
+                line.ask(
+                    11,
+                    Code.PING,
+                    wait_s=0.02,
+                )
+            )
+            for _ in range(1000)
+        )
     # three standard deviations of 1000 draws are 43; damage always spoils the CRC, or what precedes it
     for name, answered in counts.items():
         if name != "corrupt_requests":
@@ -499,7 +540,10 @@ def test_drop_corrupt_and_delay_happen_as_often_as_asked() -> None:
 
 def test_the_same_seed_brings_the_same_faults() -> None:
     def pattern(seed: int) -> list[bool]:
-        line = Line(fast_servos(), Faults(drop=0.5, seed=seed))
+        line = Line(
+            fast_servos(),
+            Faults(drop=0.5, seed=seed),
+        )
         return [bool(line.ask(11, Code.PING)) for _ in range(50)]
 
     assert pattern(3) == pattern(3) != pattern(4)

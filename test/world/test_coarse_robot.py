@@ -32,7 +32,12 @@ def pushed_rad(kind: type[HandledRobot], seed: int) -> float:
         held.hold(Payload(0.05))
         held.advance(0.0)
 
-        def write(servo: VirtualServo, register: str, value: int, now_s: float) -> None:
+        def write(
+            servo: VirtualServo,
+            register: str,
+            value: int,
+            now_s: float,
+        ) -> None:
             place = servo.model.registers[register]
             servo.heard(now_s)
             assert not servo.write(place.address, place.encode(value), now_s)

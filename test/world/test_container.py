@@ -76,7 +76,16 @@ def arm(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Calibrated]:
         robot = client.asked("/identifier/calibrate_robot")
         held.clear()
         baseline = client.asked("/identifier/record_container_baseline")
-        yield Calibrated(client, folder / "data", held, markers, refused, recorded, robot, baseline)
+        yield Calibrated(
+            client,
+            folder / "data",
+            held,
+            markers,
+            refused,
+            recorded,
+            robot,
+            baseline,
+        )
 
 
 def test_refused_without_the_empty_container(arm: Calibrated) -> None:

@@ -145,7 +145,10 @@ def test_the_robot_is_that_of_the_topic(tmp_path: Path) -> None:
             # a driver that measures nothing: what stood is withdrawn, and why is said
             arm.stop()
             assert says("the running estimate waits: no joint states of the arm are coming"), told
-            silent = replace(held, current_A=np.full_like(held.current_A, np.nan))
+            silent = replace(
+                held,
+                current_A=np.full_like(held.current_A, np.nan),
+            )
             arm = Arm(client, silent)
             assert says("the joint states carry no measured effort of j1, j2, j3, j4"), told
             arm.stop()

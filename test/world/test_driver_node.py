@@ -101,7 +101,12 @@ class Bench:
     def position(self) -> dict[str, float]:
         return dict(self.virtual.truth()[0])
 
-    def call(self, kind: Any, service: str, request: Any) -> Any:
+    def call(
+        self,
+        kind: Any,
+        service: str,
+        request: Any,
+    ) -> Any:
         return self.client.answer(
             self.client.begin(
                 service,
@@ -110,7 +115,10 @@ class Bench:
             )
         )
 
-    def ask(self, do: Callable[[Any], Any]) -> None:
+    def ask(
+        self,
+        do: Callable[[Any], Any],
+    ) -> None:
         """Have the node do something, and wait until it is done."""
         done: list[bool] = []
         self.process.ask(lambda node: done.append(bool(do(node) or True)))
@@ -276,7 +284,13 @@ def test_an_excitation_at_rest_knows_where_the_arm_is(tmp_path: Path) -> None:
 
 def test_an_excitation_at_rest_misses_no_joint_states_that_come(tmp_path: Path) -> None:
     """It pauses after each thing that it hears: just after torque was switched, runs were refused for joint states that came."""
-    with running(tmp_path, "virtual", "driver", "excitation", driver={"rate": 40.0}) as client:
+    with running(
+        tmp_path,
+        "virtual",
+        "driver",
+        "excitation",
+        driver={"rate": 40.0},
+    ) as client:
         excitation = client.world.processes["excitation"].node
         oldest_s = 0.0
         for _ in range(8):

@@ -119,9 +119,15 @@ def stamp_s(message: JointState) -> float:
     return float(message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec)
 
 
-def since(messages: list[JointState], begun_s: float) -> list[JointState]:
+def since(
+    messages: list[JointState],
+    begun_s: float,
+) -> list[JointState]:
     """The newest messages, back to that time."""
-    newest_first = takewhile(lambda message: stamp_s(message) >= begun_s, reversed(list(messages)))
+    newest_first = takewhile(
+        lambda message: stamp_s(message) >= begun_s,
+        reversed(list(messages)),
+    )
     return [*newest_first][::-1]
 
 
@@ -208,7 +214,11 @@ def assert_zero(client: Client, begun_s: float, within_s: float) -> None:
         ]
         for before, now in pairwise(after[end:])
     ]
-    for now, around in zip(after[end + 1 :], pairwise([*velocities, velocities[-1]]), strict=True):
+    for now, around in zip(
+        after[end + 1 :],
+        pairwise([*velocities, velocities[-1]]),
+        strict=True,
+    ):
         for joint, effort in enumerate(now.effort):
             # an arm that falls faster than its supply can turn it, by 4.8 rad/s, makes the motor a generator, and that brakes; a
             # mean from sample to sample is less than the speed at its end
@@ -395,7 +405,11 @@ def test_a_pulled_cable(arm: Arm) -> None:
 
 def test_noise_on_the_wire(arm: Arm) -> None:
     client = arm.client
-    assert client.set("/excitation", "probe", str(push_file(arm.folder, 0.6, 0.6, 0.6))).successful
+    assert client.set(
+        "/excitation",
+        "probe",
+        str(push_file(arm.folder, 0.6, 0.6, 0.6)),
+    ).successful
     assert client.set("/virtual", "fault", "corrupt=0.01,corrupt_requests=0.01").successful
 
     begun_s = now_s(client)

@@ -56,7 +56,10 @@ def arm(tmp_path_factory: pytest.TempPathFactory) -> Arm:
     )
     calibration = folder / "motions.yaml"
     write_calibration(calibration, load_robot(robot), known)
-    loads = [(TAKEN_S, made.load(MASS_KG)), (LEFT_S, None)]
+    loads = [
+        (TAKEN_S, made.load(MASS_KG)),
+        (LEFT_S, None),
+    ]
     return Arm(robot, calibration, made.work(ENDS_S, loads))
 
 

@@ -101,7 +101,10 @@ def test_schedules(tmp_path: Path, block: int) -> None:
 
 
 @pytest.mark.long
-def test_the_same_seed_gives_the_same_bytes(few: dict[str, Any], tmp_path: Path) -> None:
+def test_the_same_seed_gives_the_same_bytes(
+    few: dict[str, Any],
+    tmp_path: Path,
+) -> None:
     """Whatever else was played before it."""
     again = play(tmp_path, ",".join(map(str, RECORDED)), "--digest")["recorded"]
     assert again == {seed: few["recorded"][seed] for seed in again}

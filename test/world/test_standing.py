@@ -29,7 +29,14 @@ LEAST_KG = 0.5
 def test_a_still_servo_says_whether_something_is_held(
     tmp_path: Path, seed: int, rate_hz: float
 ) -> None:
-    with foreign(tmp_path, seed, True, rate_hz, running=True, holding_from=LEAST_KG) as (
+    with foreign(
+        tmp_path,
+        seed,
+        True,
+        rate_hz,
+        running=True,
+        holding_from=LEAST_KG,
+    ) as (
         client,
         arm,
     ):

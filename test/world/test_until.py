@@ -126,7 +126,10 @@ def test_a_calibration_in_use_is_brought_up_to_date(
         tell_and_log=lambda _, words: said.append(words),
         calibration=lambda *_: None,
     )
-    inputs: Any = SimpleNamespace(live=None, moment=lambda: Moment(made_s))
+    inputs: Any = SimpleNamespace(
+        live=None,
+        moment=lambda: Moment(made_s),
+    )
     recorded: list[str] = []
     monkeypatch.setattr(
         jobs, "chosen_refresh", lambda *_: ([ExcitationRun("joint3", -0.3, 0.5)], 8e-4, 2e-3)
@@ -189,7 +192,12 @@ def test_a_virtual_arm_weighs_until_it_is_sure(tmp_path: Path) -> None:
         "live_period": 0.0,
     }
     with running(
-        tmp_path, virtual={"object": str(OBJECT_KG), "seed": -1}, identifier=identifier
+        tmp_path,
+        virtual={
+            "object": str(OBJECT_KG),
+            "seed": -1,
+        },
+        identifier=identifier,
     ) as client:
         shown: list[MarkerArray] = []
         client.node.create_subscription(MarkerArray, "/identifier/next_push", shown.append, HEARD)
@@ -242,7 +250,12 @@ def test_a_start_near_a_limit_and_a_heavy_object_end_with_an_answer_or_a_reason(
     identifier = asked_for(tmp_path, TARGET_KG, 60.0)
     near = load_robot("open_manipulator_x").model.joint("joint3").lower + 0.03
     with running(
-        tmp_path, virtual={"object": str(OBJECT_KG), "seed": -1}, identifier=identifier
+        tmp_path,
+        virtual={
+            "object": str(OBJECT_KG),
+            "seed": -1,
+        },
+        identifier=identifier,
     ) as client:
         goal = client.position("joint3")
         for _ in range(500):

@@ -180,7 +180,14 @@ def test_speeds_are_known_again_after_a_jump_back() -> None:
             ["a"],
             [0.02 * row],
         )
-    heard = [states.add(5.0 + 0.01 * row, ["a"], [0.4 - 0.01 * row]) for row in range(20)]
+    heard = [
+        states.add(
+            5.0 + 0.01 * row,
+            ["a"],
+            [0.4 - 0.01 * row],
+        )
+        for row in range(20)
+    ]
     assert heard[-1] is not None
     assert heard[-1].velocity["a"] == pytest.approx(-1.0)
 
@@ -197,7 +204,12 @@ def test_a_weighing_after_a_jump_of_the_clock_is_not_late(tmp_path: Path, jump_s
         "report": False,
         "live_period": 0.0,
     }
-    with running(tmp_path, driver=on, excitation=on, identifier=identifier) as client:
+    with running(
+        tmp_path,
+        driver=on,
+        excitation=on,
+        identifier=identifier,
+    ) as client:
         clock = client.clock
         ahead_s = [0.0]
         publisher = client.node.create_publisher(Clock, "/clock", 10)

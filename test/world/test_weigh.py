@@ -62,7 +62,10 @@ class Work:
             takes_s = rng.uniform(0.9, 1.4)
             begun_s = self._clock.now()
             while not self._ended.is_set() and self._clock.now() < begun_s + takes_s + 0.3:
-                share = min((self._clock.now() - begun_s) / takes_s, 1.0)
+                share = min(
+                    (self._clock.now() - begun_s) / takes_s,
+                    1.0,
+                )
                 wanted = here + (goal - here) * (10 * share**3 - 15 * share**4 + 6 * share**5)
                 self._client.positions.publish(
                     labelled(dict(zip(JOINTS, wanted.tolist(), strict=True)))

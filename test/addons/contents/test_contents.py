@@ -30,7 +30,11 @@ from proprio_ros.pipeline.replay import read_for, replay
 from proprio_ros.pipeline.request import Options, request_of
 from proprio_ros.probes import probe_named, virtual_object
 
-FACTS = ContentsFacts(0.035, 0.1, np.array([0.015, 0.0, -0.04]))
+FACTS = ContentsFacts(
+    0.035,
+    0.1,
+    np.array([0.015, 0.0, -0.04]),
+)
 SETTINGS: dict[str, Any] = {
     "contents.radius": 0.035,
     "contents.height": 0.1,
@@ -70,11 +74,22 @@ def test_slopes_of_the_models_are_differences(model: str) -> None:
             step = 1e-6 * max(abs(float(at[kind][0])), 0.01)
 
             def shifted(
-                by: complex, name: str = kind, at: dict[str, np.ndarray] = at
+                by: complex,
+                name: str = kind,
+                at: dict[str, np.ndarray] = at,
             ) -> tuple[np.ndarray, ...]:
-                return inside_terms(model, FACTS, {**at, name: at[name] + by})
+                return inside_terms(
+                    model,
+                    FACTS,
+                    {**at, name: at[name] + by},
+                )
 
-            for exact, up, down in zip(shifted(1e-30j), shifted(step), shifted(-step), strict=True):
+            for exact, up, down in zip(
+                shifted(1e-30j),
+                shifted(step),
+                shifted(-step),
+                strict=True,
+            ):
                 slope = (up - down) / (2.0 * step)
                 np.testing.assert_allclose(
                     exact.imag / 1e-30, slope, rtol=1e-5, atol=1e-7 * max(1.0, np.abs(slope).max())
@@ -105,7 +120,11 @@ def test_probabilities_are_the_evidences() -> None:
     )
     # but that nothing is there can be told
     np.testing.assert_allclose(
-        weighted(np.log([0.98, 0.015, 0.004, 0.001]), kinds, well),
+        weighted(
+            np.log([0.98, 0.015, 0.004, 0.001]),
+            kinds,
+            well,
+        ),
         [0.98, 0.015, 0.004, 0.001],
         atol=1e-6,
     )
@@ -129,7 +148,11 @@ def test_probabilities_are_the_evidences() -> None:
         [0.0, 0.0, 1.0, 0.0],
     )
     np.testing.assert_allclose(
-        weighted(np.array([0.0, -1.0, -5e3, -6e3]), kinds, badly).sum(),
+        weighted(
+            np.array([0.0, -1.0, -5e3, -6e3]),
+            kinds,
+            badly,
+        ).sum(),
         1.0,
     )
     # what grains explain friction may; but where they explain more than a liquid does, it is none
@@ -157,7 +180,12 @@ def test_all_of_a_liquid_weighs_where_it_is() -> None:
     assert height == pytest.approx(0.2 * (FACTS.bottom[2] + 0.5 * fill), rel=2e-3)
     # where the container stands 3 mm beside what was stated, all of it is there; how high it stands is another matter
     beside = {
-        name: np.array([at + 0.003]) for name, at in zip(models.PLACE, FACTS.shell.com, strict=True)
+        name: np.array([at + 0.003])
+        for name, at in zip(
+            models.PLACE,
+            FACTS.shell.com,
+            strict=True,
+        )
     }
     for model in ("frozen", "liquid"):
         at = {
@@ -208,10 +236,19 @@ def test_a_liquid_in_another_cylinder_than_was_stated_has_no_fill(
     """Stated 10 mm wider than it is, 30 mm were 18 (13 to 24): the frequency says what the mass does not."""
     folder = bags / "contents_liquid_r35_h30_1mPas"
     file = tmp_path / "arm.yaml"
-    calibrate_from_bags(sorted(folder.glob("empty_*")), {}, output=file)
+    calibrate_from_bags(
+        sorted(folder.glob("empty_*")),
+        {},
+        output=file,
+    )
     settings = SETTINGS | {"contents.radius": 0.045}
     baseline = sorted(folder.glob("baseline_*"))
-    options = Options(probe="contents", settings=settings, calibration=file, baseline=baseline)
+    options = Options(
+        probe="contents",
+        settings=settings,
+        calibration=file,
+        baseline=baseline,
+    )
     found = replay(sorted(folder.glob("run_*")), options)
     assert found.verdict.value == "accepted" and found.value("liquid_inside").value > 0.95
     assert found.value("fill").value is None and "contents.radius" in found.value("fill").reason
@@ -246,11 +283,20 @@ def test_slopes_of_a_recording_s_problem_are_differences(bags: Path, model: str)
     folder = bags / "contents_liquid_r35_h30_1mPas"
     options = Options(probe="contents", settings=SETTINGS)
     paths = [folder / "run_0", folder / "run_2"]
-    robot, recorded = read_for(request := request_of(options.for_recordings(paths)), paths)
+    robot, recorded = read_for(
+        request := request_of(options.for_recordings(paths)),
+        paths,
+    )
     facts = request.facts
     assert isinstance(facts, ContentsFacts)
     runs = [prepare_run(robot, run, None, facts.shell) for run in recorded.runs]
-    problem = models.ContentsProblem(robot, runs, facts, [True, False], model)
+    problem = models.ContentsProblem(
+        robot,
+        runs,
+        facts,
+        [True, False],
+        model,
+    )
     rows = [
         problem.index[name]
         for name in [*(unknown.kind for unknown in problem.inside), *models.PLACE, "payload_mass"]

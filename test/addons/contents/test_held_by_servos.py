@@ -19,7 +19,11 @@ from proprio_ros.robot import Robot, load_robot
 from proprio_ros.sim.payload import PayloadFacts, PayloadShape
 
 KG, PLACE, SIGMA = 0.3, (0.02, 0.0, -0.01), 2.0 * np.pi / 4096.0 / np.sqrt(12.0)
-LOAD = Load(KG, PLACE, (2e-4, 2e-4, 2e-4, 0.0, 0.0, 0.0))
+LOAD = Load(
+    KG,
+    PLACE,
+    (2e-4, 2e-4, 2e-4, 0.0, 0.0, 0.0),
+)
 FACTS = PayloadFacts(
     np.array(PLACE),
     np.zeros(3),
@@ -86,7 +90,14 @@ def shaken(
     grid = np.arange(0.0, 2.0, 0.0025)
     speed = np.gradient(made.position, made.times_s, axis=0)
     at = [
-        [np.interp(grid, made.times_s, each[:, n]) for each in (made.position, speed)]
+        [
+            np.interp(
+                grid,
+                made.times_s,
+                each[:, n],
+            )
+            for each in (made.position, speed)
+        ]
         for n in (2, 1)
     ]
     elbow, shoulder = (Followed(grid, *each) for each in at)
@@ -148,7 +159,14 @@ def test_runs_of_one_servo_are_taken_together(monkeypatch: pytest.MonkeyPatch) -
 
 def test_gradients_are_those_of_finite_differences() -> None:
     robot, run, elbow, _ = shaken(1, 0.02)
-    push = forced_on(robot, run, "joint2", {"joint3": elbow}, FACTS, KG)
+    push = forced_on(
+        robot,
+        run,
+        "joint2",
+        {"joint3": elbow},
+        FACTS,
+        KG,
+    )
     assert push is not None
     servo = Servo([push, push], SIGMA)
     for z in (
@@ -168,5 +186,8 @@ def test_gradients_are_those_of_finite_differences() -> None:
 
 def test_a_fit_that_failed_moves_no_held_joint() -> None:
     robot, run, elbow, _ = shaken(1, 0.02)
-    lost = replace(elbow, velocity=np.full_like(elbow.velocity, np.nan))
+    lost = replace(
+        elbow,
+        velocity=np.full_like(elbow.velocity, np.nan),
+    )
     assert give_way(robot, [run], [lost], FACTS, [KG]) == [{}]

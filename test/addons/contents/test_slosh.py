@@ -30,10 +30,24 @@ def simulator(current_A: float = 0.25, shake: bool = False) -> SloshSimulator:
         -1.0,
         1.0,
     )
-    joint = JointRun(TIMES, switches, current_A * signs, friction_velocity=1e-2, step_s=1 / 480)
+    joint = JointRun(
+        TIMES,
+        switches,
+        current_A * signs,
+        friction_velocity=1e-2,
+        step_s=1 / 480,
+    )
     # the joint's axis is level, the container upright at q = 0: gravity along s and z
     return SloshSimulator(
-        [SloshRun(joint, REACH, BELOW, np.array([0.0, 0.0, 9.81]), np.array([0.0, -9.81, 0.0]))]
+        [
+            SloshRun(
+                joint,
+                REACH,
+                BELOW,
+                np.array([0.0, 0.0, 9.81]),
+                np.array([0.0, -9.81, 0.0]),
+            )
+        ]
     )
 
 
@@ -136,7 +150,17 @@ def test_small_motions_are_two_coupled_oscillators() -> None:
         friction_velocity=1e-2,
         step_s=1 / 480,
     )
-    rolled = SloshSimulator([SloshRun(still, 0.0, 0.2, np.zeros(3), np.array([-9.81, 0.0, 0.0]))])
+    rolled = SloshSimulator(
+        [
+            SloshRun(
+                still,
+                0.0,
+                0.2,
+                np.zeros(3),
+                np.array([-9.81, 0.0, 0.0]),
+            )
+        ]
+    )
     for mass in (0.05, 0.15, 0.4):
         p = values(viscous=0.0, coulomb=0.0, load_friction=0.0, stribeck=0.0, gravity_cos=0.0, gravity_sin=0.0, delay=0.0, q0=0.0,
                    slosh_mass=mass, slosh_height=0.0, slosh_damping=0.0, tilt=0.0, settled=0.0)  # fmt: skip

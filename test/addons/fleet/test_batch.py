@@ -77,7 +77,13 @@ def fleet(tmp_path_factory: pytest.TempPathFactory) -> Path:
     write_data_set(
         folder / "data" / "v3", motions, FOUR.constants, rate_hz=50.0, extra=empties, per_file=2
     )
-    write_data_set(folder / "data" / "v21", motions, FOUR.constants, rate_hz=50.0, version="v2.1")
+    write_data_set(
+        folder / "data" / "v21",
+        motions,
+        FOUR.constants,
+        rate_hz=50.0,
+        version="v2.1",
+    )
     (folder / "units.yaml").write_text(PROFILE)
     return folder
 
@@ -152,7 +158,10 @@ def test_what_lerobot_writes_is_read(fleet: Path) -> None:
         value = replay(f"{written}#{n}", asked(fleet)).values[0]
         assert isinstance(value.value, float) and abs(value.value - mass) < 0.002
         assert value.ci95[0] - 0.001 <= mass <= value.ci95[1] + 0.001
-    _, (usable, missing) = check_bags([f"{written}#0", f"{written}#7"], asked(fleet))
+    _, (usable, missing) = check_bags(
+        [f"{written}#0", f"{written}#7"],
+        asked(fleet),
+    )
     assert (
         usable.usable == 1
         and usable.state_topic == "observation.state"
@@ -179,7 +188,10 @@ def test_a_span_is_that_part_of_the_whole(fleet: Path, source: str) -> None:
     assert np.array_equal(part.current_A, whole.current_A[rows])
     behind = replace(
         prepared,
-        options=replace(asked(fleet), span=(10**12, None)),
+        options=replace(
+            asked(fleet),
+            span=(10**12, None),
+        ),
     )
     with pytest.raises(
         RecordingError, match=r"no joint states between 1000 s and its end|no frames in this part"
@@ -283,7 +295,16 @@ def test_a_killed_job_goes_on_with_no_row_twice_and_none_lost(fleet: Path, tmp_p
     )
     assert outcome.before == len(done) and same(table(part), table(whole))
     # once more: nothing is left to do, and no process is started
-    assert run_batch([fleet / "data"], job, part, lambda words: None, processes=0).before == 10
+    assert (
+        run_batch(
+            [fleet / "data"],
+            job,
+            part,
+            lambda words: None,
+            processes=0,
+        ).before
+        == 10
+    )
     with pytest.raises(ConfigurationError, match="other options"):
         run_batch(
             [fleet / "data"], Job(replace(asked(fleet), settings={})), part, lambda words: None
@@ -324,7 +345,13 @@ def test_files_that_no_job_wrote_stay(fleet: Path, tmp_path: Path) -> None:
     write_drift(Drift(()), tmp_path / "new.csv")
     (tmp_path / "calibration.yaml").write_text("name: mine\n")
     with pytest.raises(ConfigurationError, match="is no calibration of a job here"):
-        self_calibrated([], asked(fleet), "--empty", tmp_path, lambda words: None)
+        self_calibrated(
+            [],
+            asked(fleet),
+            "--empty",
+            tmp_path,
+            lambda words: None,
+        )
 
 
 def test_two_jobs_do_not_write_to_one_folder(fleet: Path, tmp_path: Path) -> None:
@@ -379,7 +406,11 @@ def test_what_the_computer_could_not_do_is_no_row_and_is_asked_again(
         patch.setattr(rows_module, "read_for", full)
         (row,) = rows_of(first, job)
         assert row["reason_codes"] == ["machine"] and lasting([row]) == []
-        done = local.compute([first, second], job, str(tmp_path))
+        done = local.compute(
+            [first, second],
+            job,
+            str(tmp_path),
+        )
     assert done.failed == 0 and len(done.machine) == 1 and not list(tmp_path.iterdir())
     assert local.compute([first, second], job, str(tmp_path)) == local.Done(0)
     assert len(list(tmp_path.iterdir())) == 1
@@ -409,12 +440,22 @@ def batch_of(fleet: Path, out: Path) -> list[str]:
         "--jobs",
         "2",
     ]
-    words += ["--calibration", str(fleet / "arm.yaml"), "--effort-unit", "N.m", "--reports", "0"]
+    words += [
+        "--calibration",
+        str(fleet / "arm.yaml"),
+        "--effort-unit",
+        "N.m",
+        "--reports",
+        "0",
+    ]
     return words + ["--probe", "payload"] + [f"--set={key}={at}" for key, at in SETTINGS.items()]
 
 
 def test_a_batch_says_what_is_undone_and_does_it_the_next_time(
-    fleet: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    fleet: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     words = [*batch_of(fleet, tmp_path), "--json"]
     monkeypatch.setattr("proprio_ros.addons.fleet.job.run_local", lambda *_: None)
@@ -476,7 +517,11 @@ def test_grasps_are_found_with_their_masses(fleet: Path) -> None:
     grasps.add(motion)
     found = grasps.found()
     assert [grasp.code for grasp in found] == ["empty", "held", "slipped"]
-    assert np.allclose([grasp.start_s for grasp in found], [0.0, 8.0, 16.0], atol=0.6)
+    assert np.allclose(
+        [grasp.start_s for grasp in found],
+        [0.0, 8.0, 16.0],
+        atol=0.6,
+    )
     for grasp, mass in zip(found, (0.0, 0.15, 0.06), strict=True):
         assert grasp.ci95_kg[0] < mass < grasp.ci95_kg[1]
 
@@ -486,7 +531,11 @@ def test_what_the_gripper_did_tells_what_was_put_down_from_what_fell(fleet: Path
     """150 g from 8 s on, nothing from 16 s on; the gripper closes on it at 8 s, and opens at 16 s or does not."""
     motion = Arm(3).record(78, 24.0, 0.0, changes=((8.0, 0.15), (16.0, 0.0)))
     prepared = request_of(asked(fleet))
-    closed = np.interp(motion.times_s, (7.8, 8.0), (0.04, 0.01))
+    closed = np.interp(
+        motion.times_s,
+        (7.8, 8.0),
+        (0.04, 0.01),
+    )
     opened = np.where(
         motion.times_s < 12.0,
         closed,
@@ -517,7 +566,11 @@ def test_what_the_gripper_did_tells_what_was_put_down_from_what_fell(fleet: Path
             grasps.add(part, begin_s)
         found = grasps.found()
         assert [grasp.code for grasp in found] == codes
-        assert np.allclose([grasp.start_s for grasp in found], [0.0, 8.0, 16.0], atol=0.6)
+        assert np.allclose(
+            [grasp.start_s for grasp in found],
+            [0.0, 8.0, 16.0],
+            atol=0.6,
+        )
         held = found[1]
         assert held.ci95_kg[0] < 0.15 < held.ci95_kg[1] and held.gripper is not None
         assert abs(held.gripper - 0.01) < 0.003 and held.samples == pytest.approx(400, abs=40)
@@ -532,7 +585,12 @@ def test_a_long_motion_is_answered_in_parts_that_replay_answers_alike(
     monkeypatch.setattr(rows_module, "LEAST_BYTES", 0)
     motion = Arm(3).record(55, 36.0, 0.1)
     write_bag(tmp_path / "data" / "long", motion)
-    write_data_set(tmp_path / "data" / "set", [motion], FOUR.constants, rate_hz=50.0)
+    write_data_set(
+        tmp_path / "data" / "set",
+        [motion],
+        FOUR.constants,
+        rate_hz=50.0,
+    )
     job = Job(asked(fleet), grasps=True)
     for episode in episodes_of([tmp_path / "data"]):
         rows = rows_of(episode, job)
@@ -573,7 +631,10 @@ def test_memory_does_not_grow_with_the_length_of_a_bag(
     monkeypatch.setattr(rows_module, "LEAST_BYTES", 0)
     peaks = []
     for seconds in (20.0, 200.0):
-        write_bag(tmp_path / f"{seconds}", Arm(3).record(56, seconds, 0.1))
+        write_bag(
+            tmp_path / f"{seconds}",
+            Arm(3).record(56, seconds, 0.1),
+        )
         (episode,) = episodes_of([tmp_path / f"{seconds}"])
         tracemalloc.start()
         rows = rows_of(episode, Job(asked(fleet)))
@@ -615,7 +676,11 @@ def test_what_a_calibration_carries_counts_in_a_batch(bags: Path, tmp_path: Path
         tmp_path / "ball",
         replace(
             whole,
-            joints=JointRecord(record.times_ns, names, record.position[:, columns]),
+            joints=JointRecord(
+                record.times_ns,
+                names,
+                record.position[:, columns],
+            ),
         ),
     )
     place = {"payload.com": [0.0, 0.0, 0.0]}
@@ -656,8 +721,16 @@ def test_an_arm_calibrates_itself_with_the_first_seconds_and_shows_its_drift(
             0.0,
             changes=((6.0, mass),),
         )
-        write_bag(tmp_path / "bags" / f"{n}", motion, BEGIN_NS + (n // 2) * week_ns)
-    options = Options(robot=str(robot), effort_unit="N.m", settings=SETTINGS)
+        write_bag(
+            tmp_path / "bags" / f"{n}",
+            motion,
+            BEGIN_NS + (n // 2) * week_ns,
+        )
+    options = Options(
+        robot=str(robot),
+        effort_unit="N.m",
+        settings=SETTINGS,
+    )
     out = tmp_path / "out"
     said = list[str]()
     cut = write_bag(tmp_path / "bags" / "cut", motion)
@@ -692,7 +765,10 @@ def test_an_arm_calibrates_itself_with_the_first_seconds_and_shows_its_drift(
         )
         for part in (slice(0, len(FOUR.joints)), slice(-len(FOUR.joints), None))
     )
-    sigmas = np.hypot(1.8 * first[:, 1], last[:, 1])
+    sigmas = np.hypot(
+        1.8 * first[:, 1],
+        last[:, 1],
+    )
     assert np.all(np.abs(last[:, 0] - 1.8 * first[:, 0]) < 3.0 * sigmas)
     assert np.max((last[:, 0] - first[:, 0]) / np.hypot(first[:, 1], last[:, 1])) > 1.2
     page = (out / "batch.html").read_text()
@@ -721,7 +797,11 @@ def test_drift_shows_itself_in_python(tmp_path: Path) -> None:
     ]
     (tmp_path / "bags" / "cut").mkdir()
     (tmp_path / "bags" / "cut" / "metadata.yaml").touch()
-    asked: dict[str, Any] = {"robot": robot, "effort_unit": "N.m", "settings": SETTINGS}
+    asked: dict[str, Any] = {
+        "robot": robot,
+        "effort_unit": "N.m",
+        "settings": SETTINGS,
+    }
     found = drift(tmp_path / "bags", **asked)
     assert repr(found) == "<drift over 2 periods>" and [period.episodes for period in found] == [
         1,
@@ -765,9 +845,19 @@ def test_an_arm_calibrates_itself_with_the_episodes_that_are_known_to_be_empty(
     masses = (0.0, 0.1, 0.0)
     motions = [arm.record(n, 15.0, mass) for n, mass in enumerate(masses)]
     marks = {"hand_empty": [float(mass == 0.0) for mass in masses]}
-    write_data_set(tmp_path / "set", motions, FOUR.constants, rate_hz=50.0, extra=marks)
+    write_data_set(
+        tmp_path / "set",
+        motions,
+        FOUR.constants,
+        rate_hz=50.0,
+        extra=marks,
+    )
     (tmp_path / "units.yaml").write_text(PROFILE)
-    options = Options(robot=str(robot), driver=tmp_path / "units.yaml", settings=SETTINGS)
+    options = Options(
+        robot=str(robot),
+        driver=tmp_path / "units.yaml",
+        settings=SETTINGS,
+    )
     said: list[str] = []
     given: dict[str, Any] = {"processes": 1, "empty": "hand_empty"}
     outcome = run_batch(
@@ -785,7 +875,13 @@ def test_an_arm_calibrates_itself_with_the_episodes_that_are_known_to_be_empty(
     )
     # made once: the job goes on with the same
     assert (
-        run_batch([tmp_path / "set"], Job(options), tmp_path / "out", said.append, **given).before
+        run_batch(
+            [tmp_path / "set"],
+            Job(options),
+            tmp_path / "out",
+            said.append,
+            **given,
+        ).before
         == 3
     )
     with pytest.raises(ConfigurationError, match="has no such column"):
@@ -803,7 +899,10 @@ def test_an_arm_calibrates_itself_with_the_episodes_that_are_known_to_be_empty(
 
 
 def test_the_command_says_what_is_wrong_before_it_begins(
-    fleet: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    fleet: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     out = ["--out", str(tmp_path / "out")]
     for arguments, pattern in (
@@ -840,5 +939,8 @@ def test_the_commands_object(
     glob = str(fleet / "data" / "bags" / "[01]")
     assert main(["batch", glob, "--out", str(tmp_path), *given, "--jobs", "1", "--json"]) == 0
     said = json.loads(capsys.readouterr().out)
-    jsonschema.validate(said, json.loads(resource("schema", "output").read_text()))
+    jsonschema.validate(
+        said,
+        json.loads(resource("schema", "output").read_text()),
+    )
     assert said["episodes"] == 2 and said["verdicts"] == {"accepted": 2}

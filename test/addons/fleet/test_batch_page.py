@@ -52,7 +52,11 @@ def rows_like(
             "reason_codes": ["guessed_facts"],
         }  # fmt: skip
         if kind < 0.002:
-            row |= {"value": mass + 0.6, "low": mass + 0.599, "high": mass + 0.601}
+            row |= {
+                "value": mass + 0.6,
+                "low": mass + 0.599,
+                "high": mass + 0.601,
+            }
         elif kind < 0.06:
             wide = f"anything from 0 .. {rng.integers(100, 400)} g explains the recording: record more runs"
             row |= {
@@ -65,7 +69,11 @@ def rows_like(
             }
         elif kind < 0.08:
             moved = f"{source.rsplit('/')[-1]}/{n:05d}: joint3 moved only {rng.random():.3f} rad: probe with more current"
-            row |= {"verdict": "not_identifiable", "reasons": [moved], "reason_codes": ["stuck"]}
+            row |= {
+                "verdict": "not_identifiable",
+                "reasons": [moved],
+                "reason_codes": ["stuck"],
+            }
             row |= dict.fromkeys(("value", "std", "low", "high"))
         elif kind < 0.09:
             place = f"{source}{'/' if dated else '#'}{row['episode']}"
@@ -141,12 +149,21 @@ def opened(
 ) -> Any:
     """What a script says on the page, which lets it in."""
 
-    return look(page, script, width, *more, style=on_paper if printed else str)
+    return look(
+        page,
+        script,
+        width,
+        *more,
+        style=on_paper if printed else str,
+    )
 
 
 @pytest.fixture(scope="module")
 def page(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    options = Options(calibration="arm.yaml", settings={"payload.com": [0, 0, 0.01]})
+    options = Options(
+        calibration="arm.yaml",
+        settings={"payload.com": [0, 0, 0.01]},
+    )
     return page_of(tmp_path_factory.mktemp("many"), rows_like(COUNT), options)
 
 
@@ -166,7 +183,16 @@ def test_nothing_is_wider_than_the_window(page: Path, look: Look, width: int) ->
 
 @pytest.mark.long
 def test_dark_and_on_paper(page: Path, look: Look) -> None:
-    light, dark = (opened(look, page, MEASURE, 1400, *more) for more in ((), (DARK,)))
+    light, dark = (
+        opened(
+            look,
+            page,
+            MEASURE,
+            1400,
+            *more,
+        )
+        for more in ((), (DARK,))
+    )
     assert brightness(light["paper"]) > 0.95 and brightness(dark["paper"]) < 0.15
     assert max(map(brightness, light["inks"])) < 0.7 and min(map(brightness, dark["inks"])) > 0.4
     paper = opened(look, page, MEASURE, 680, printed=True)
@@ -281,7 +307,13 @@ def test_the_policy_lets_both_scripts_of_the_page_run_and_no_other(
 def test_causes_have_counts_and_what_to_do(tmp_path: Path) -> None:
     rows = rows_like(400)
     page = page_of(tmp_path, rows).read_text()
-    words = " ".join(re.sub(r"<[^>]*>", " ", page[: page.index("id=all")]).split())
+    words = " ".join(
+        re.sub(
+            r"<[^>]*>",
+            " ",
+            page[: page.index("id=all")],
+        ).split()
+    )
     for code, count in (("too wide", "too_wide"), ("stuck", "stuck"), ("unreadable", "unreadable")):
         own = sum(row["verdict"] != "accepted" and row["reason_codes"] == [count] for row in rows)
         assert f"{code}: {own} ({100 * own / 400:.1f} %)" in html.unescape(words)

@@ -25,7 +25,10 @@ def model(
     bodies: list[np.ndarray],
 ) -> ReducedModel:
     n = len(kinds)
-    placement = np.tile(np.eye(4), (n, 1, 1))
+    placement = np.tile(
+        np.eye(4),
+        (n, 1, 1),
+    )
     placement[:, :3, 3] = offsets
     return ReducedModel(
         joint_names=tuple(f"joint_{i}" for i in range(n)),
@@ -45,7 +48,11 @@ def model(
 def hanging(count: int) -> ReducedModel:
     """One or two links that hang down from hinges about y."""
     bodies = [
-        pseudo_inertia(MASSES[i], (0.0, 0.0, -CENTRES[i]), np.diag((1e-3, INERTIAS[i], 1e-3)))
+        pseudo_inertia(
+            MASSES[i],
+            (0.0, 0.0, -CENTRES[i]),
+            np.diag((1e-3, INERTIAS[i], 1e-3)),
+        )
         for i in range(count)
     ]
     offsets = [(0.1, 0.2, 0.3), (0.0, 0.0, -LENGTHS[0])][:count]
@@ -130,7 +137,11 @@ def test_double_pendulum_against_its_lagrangian() -> None:
     sim = free(hanging(2), times, step_s=5e-4)
     q, v = rollout(
         sim,
-        pack(sim, q0=start[:2], v0=start[2:]),
+        pack(
+            sim,
+            q0=start[:2],
+            v0=start[2:],
+        ),
     )
     exact = solve_ivp(
         lagrangian, (0.0, 2.0), start, t_eval=times, method="DOP853", rtol=1e-12, atol=1e-13
@@ -232,7 +243,13 @@ def test_changes_of_the_input_are_met_exactly() -> None:
         ("prismatic",),
         [(1.0, 0.0, 0.0)],
         [(0.0, 0.0, 0.0)],
-        [pseudo_inertia(2.0, np.zeros(3), np.eye(3))],
+        [
+            pseudo_inertia(
+                2.0,
+                np.zeros(3),
+                np.eye(3),
+            )
+        ],
     )
     switches = np.array([0.0, 0.123, 0.301])
     force = np.array([4.0, 0.0, -4.0])
@@ -242,7 +259,12 @@ def test_changes_of_the_input_are_met_exactly() -> None:
     )
     v = sum(
         f / 2.0 * np.clip(times - on, 0.0, off - on)
-        for f, on, off in zip(force, switches, [*switches[1:], 9.0], strict=True)
+        for f, on, off in zip(
+            force,
+            switches,
+            [*switches[1:], 9.0],
+            strict=True,
+        )
     )
     np.testing.assert_allclose(
         rollout(sim, pack(sim, torque_constant=1.0))[1][0, :, 0], v, atol=1e-14
@@ -255,7 +277,13 @@ def test_velocity_decays_under_viscous_friction() -> None:
         ("prismatic",),
         [(1.0, 0.0, 0.0)],
         [(0.0, 0.0, 0.0)],
-        [pseudo_inertia(2.0, np.zeros(3), np.eye(3))],
+        [
+            pseudo_inertia(
+                2.0,
+                np.zeros(3),
+                np.eye(3),
+            )
+        ],
     )
     times = np.linspace(0.1, 1.0, 5)
     sim = free(reduced, times, step_s=0.005)
@@ -292,16 +320,28 @@ def test_payload_on_a_spring_slide() -> None:
         "tip",
         "prismatic",
         (2.0, 0.0, 0.0),
-        pseudo_inertia(payload, (0.3, 0.1, 0.0), 1e-4 * np.eye(3)),
+        pseudo_inertia(
+            payload,
+            (0.3, 0.1, 0.0),
+            1e-4 * np.eye(3),
+        ),
     )
     times = np.linspace(0.02, 1.0, 50)
     sim = free(hung, times, step_s=1e-3)
     q, _ = rollout(
         sim,
-        pack(sim, stiffness=(0.0, k), q0=(0.0, stretch)),
+        pack(
+            sim,
+            stiffness=(0.0, k),
+            q0=(0.0, stretch),
+        ),
     )
     y = stretch * np.cos(np.sqrt(k * (1.0 / cart + 1.0 / payload)) * times)
-    np.testing.assert_allclose(q[0, :, 1], y, atol=1e-9)
+    np.testing.assert_allclose(
+        q[0, :, 1],
+        y,
+        atol=1e-9,
+    )
     np.testing.assert_allclose(
         q[0, :, 0],
         payload * (stretch - y) / (cart + payload),
@@ -358,7 +398,11 @@ def test_payload_on_a_universal_joint_circles_as_a_conical_pendulum() -> None:
         ],
         axis=1,
     )
-    np.testing.assert_allclose(place[:, :2], length * circle, atol=1e-9)
+    np.testing.assert_allclose(
+        place[:, :2],
+        length * circle,
+        atol=1e-9,
+    )
     np.testing.assert_allclose(
         place[:, 2],
         -length * np.cos(cone),
@@ -379,15 +423,27 @@ def test_semi_implicit_euler_is_the_papers_equation() -> None:
     )
     q, v = rollout(
         sim,
-        pack(sim, q0=(1.0, -0.5), v0=(0.3, 0.2)),
+        pack(
+            sim,
+            q0=(1.0, -0.5),
+            v0=(0.3, 0.2),
+        ),
     )
     state = np.array([1.0, -0.5])
     rate = np.array([0.3, 0.2])
     for step in range(count):
         rate = rate + h * lagrangian(0.0, np.concatenate([state, rate]))[2:]
         state = state + h * rate
-        np.testing.assert_allclose(q[0, step], state, atol=1e-11)
-        np.testing.assert_allclose(v[0, step], rate, atol=1e-11)
+        np.testing.assert_allclose(
+            q[0, step],
+            state,
+            atol=1e-11,
+        )
+        np.testing.assert_allclose(
+            v[0, step],
+            rate,
+            atol=1e-11,
+        )
 
 
 @pytest.mark.parametrize(("integrator", "order"), [("rk4", 4), ("semi_implicit", 1)])
@@ -400,9 +456,24 @@ def test_order_of_convergence(integrator: str, order: int) -> None:
     ).y[:2, -1]
     errors = []
     for step in (1 / 200, 1 / 400, 1 / 800):
-        sim = free(hanging(2), times, integrator=integrator, step_s=step)
+        sim = free(
+            hanging(2),
+            times,
+            integrator=integrator,
+            step_s=step,
+        )
         errors.append(
-            np.abs(rollout(sim, pack(sim, q0=start[:2], v0=start[2:]))[0][0, 0] - exact).max()
+            np.abs(
+                rollout(
+                    sim,
+                    pack(
+                        sim,
+                        q0=start[:2],
+                        v0=start[2:],
+                    ),
+                )[0][0, 0]
+                - exact
+            ).max()
         )
     observed = np.log2(np.array(errors[:-1]) / errors[1:])
     np.testing.assert_allclose(observed, order, atol=0.15)

@@ -33,12 +33,22 @@ TREES = {
 }
 
 
-def random_urdf(parents: tuple[int, ...], seed: int) -> str:
+def random_urdf(
+    parents: tuple[int, ...],
+    seed: int,
+) -> str:
     """Revolute and prismatic joints with rotated frames and axes, links with rotated inertials and full tensors."""
     rng = np.random.default_rng(seed)
 
     def triple(scale: float) -> str:
-        return " ".join(repr(float(x)) for x in rng.uniform(-scale, scale, 3))
+        return " ".join(
+            repr(float(x))
+            for x in rng.uniform(
+                -scale,
+                scale,
+                3,
+            )
+        )
 
     text = ['<robot name="random"><link name="link_base"/>']
     for i, parent in enumerate(parents):
@@ -66,7 +76,10 @@ def reduced(text: str) -> ReducedModel:
     return model.lock(model.independent_joints, {}, gravity=GRAVITY)
 
 
-def addresses(model: Any, names: tuple[str, ...]) -> list[int]:
+def addresses(
+    model: Any,
+    names: tuple[str, ...],
+) -> list[int]:
     return [int(model.joint(name).dofadr[0]) for name in names]
 
 
@@ -230,7 +243,14 @@ def test_one_joint_is_the_one_joint_law(integrator: str) -> None:
     current = np.array([-0.3, 0.25])
     steps = {"step_s": 1 / 240, "fine_step_s": 1 / 2000}
     supply = (1.0, 2.49, 5.22)
-    run = JointRun(times, switches, current, supply=supply, friction_velocity=0.01, **steps)
+    run = JointRun(
+        times,
+        switches,
+        current,
+        supply=supply,
+        friction_velocity=0.01,
+        **steps,
+    )
     q, v = JointSimulator([run], integrator).rollout(
         np.zeros(1, dtype=np.int32),
         row,
@@ -294,7 +314,11 @@ def test_parameters_by_name() -> None:
     ):
         sim.jacobian(p, p)
     with pytest.raises(SimulationError, match=r"weights have shape \(1, 1, 2\): give \(2, 1, 2\)"):
-        tape_gradient(sim, p, np.zeros((1, 1, 2)))
+        tape_gradient(
+            sim,
+            p,
+            np.zeros((1, 1, 2)),
+        )
 
 
 @pytest.mark.parametrize(
@@ -316,7 +340,10 @@ def test_parameters_by_name() -> None:
         ({"friction_velocity": (0.1, 0.1)}, "friction_velocity must be"),
     ],
 )
-def test_what_cannot_be_simulated_is_said(change: dict[str, Any], message: str) -> None:
+def test_what_cannot_be_simulated_is_said(
+    change: dict[str, Any],
+    message: str,
+) -> None:
     run = {
         "sample_times_s": [0.1],
         "input_times_s": [0.0],
@@ -341,7 +368,11 @@ def test_a_tape_that_would_not_fit_is_refused() -> None:
         step_s=1e-6,
     )
     with pytest.raises(SimulationError, match=r"30\d\d\d\d steps are too many for a tape"):
-        tape_gradient(sim, pack(sim), np.ones((1, 1, 1)))
+        tape_gradient(
+            sim,
+            pack(sim),
+            np.ones((1, 1, 1)),
+        )
 
 
 @pytest.mark.parametrize(
@@ -381,7 +412,11 @@ def test_a_tape_that_would_not_fit_is_refused() -> None:
     ],
 )
 def test_what_cannot_be_attached_is_said(
-    frame: str, kind: str, axes: Any, pseudo: np.ndarray, message: str
+    frame: str,
+    kind: str,
+    axes: Any,
+    pseudo: np.ndarray,
+    message: str,
 ) -> None:
     with pytest.raises(SimulationError, match=message):
         attach_payload_joint(
@@ -395,7 +430,13 @@ def test_what_cannot_be_attached_is_said(
 
 def test_a_payload_joint_needs_a_new_name() -> None:
     ours = reduced(random_urdf((-1,), 1))
-    once = attach_payload_joint(ours, "link_0", "prismatic", (0, 0, 1), PAYLOAD)
+    once = attach_payload_joint(
+        ours,
+        "link_0",
+        "prismatic",
+        (0, 0, 1),
+        PAYLOAD,
+    )
     with pytest.raises(SimulationError, match="'payload' is already a joint or frame"):
         attach_payload_joint(once, "link_0", "prismatic", (0, 0, 1), PAYLOAD)
     twice = attach_payload_joint(

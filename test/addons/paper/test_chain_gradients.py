@@ -36,7 +36,10 @@ def random_model(tree: str) -> ReducedModel:
     parents = TREES[tree]
     n = len(parents)
     rng = np.random.default_rng(n)
-    placement = np.tile(np.eye(4), (n, 1, 1))
+    placement = np.tile(
+        np.eye(4),
+        (n, 1, 1),
+    )
     bodies = []
     for i in range(n):
         placement[i, :3, :3] = rotation_from_rpy(rng.uniform(-3.0, 3.0, 3))
@@ -94,8 +97,14 @@ def points(sim: ChainSimulator) -> np.ndarray:
         for name, scale in SCALES.items()
         if name not in ("pi", "delay")
     }
-    groups["q0"] *= rng.choice([-1.0, 1.0], (POINTS, n))
-    groups["v0"] *= rng.choice([-1.0, 1.0], (POINTS, n))
+    groups["q0"] *= rng.choice(
+        [-1.0, 1.0],
+        (POINTS, n),
+    )
+    groups["v0"] *= rng.choice(
+        [-1.0, 1.0],
+        (POINTS, n),
+    )
     groups["delay"] = np.array([0.004, -0.003, 0.0005])
     groups["pi"] = inertial_parameters(sim.model.pseudo_inertia) * rng.uniform(
         0.9, 1.1, (POINTS, n, 1)
@@ -175,7 +184,15 @@ def test_every_parameter_matters() -> None:
     sim = simulator("3", "rk4")
     p = points(sim)
     largest = np.abs(sim.jacobian(p, every(p))[2]).max(axis=(0, 1, 2))
-    silent = {name for name, size in zip(sim.parameter_names, largest, strict=True) if size < 1e-9}
+    silent = {
+        name
+        for name, size in zip(
+            sim.parameter_names,
+            largest,
+            strict=True,
+        )
+        if size < 1e-9
+    }
     # the first body turns about an axis through its frame's origin, so its mass as such does nothing
     assert silent == {"pi[joint_0][0]"}
 
@@ -251,7 +268,11 @@ def test_payload_mass_is_a_direction_in_pi() -> None:
         difference = (rollout(sim, above)[0] - rollout(sim, below)[0]) / (2.0 * step)
         scale = np.abs(exact[..., column]).max()
         assert scale > 1e-3
-        np.testing.assert_allclose(difference, exact[..., column], atol=1e-6 * scale)
+        np.testing.assert_allclose(
+            difference,
+            exact[..., column],
+            atol=1e-6 * scale,
+        )
 
 
 def test_delay_of_a_sample_on_a_change_of_the_input() -> None:

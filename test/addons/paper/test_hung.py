@@ -50,12 +50,22 @@ def swinging() -> tuple[Run, ...]:
 def problem(hung: Hung, run: Run) -> HungProblem:
     prepared = prepare_run(known_robot(), run, KnownLoad())
     return HungProblem(
-        known_robot(), [prepared], hung, hung_unknowns(known_robot(), [prepared], hung)
+        known_robot(),
+        [prepared],
+        hung,
+        hung_unknowns(
+            known_robot(),
+            [prepared],
+            hung,
+        ),
     )
 
 
 @pytest.mark.parametrize("hung", [SLIDE, PENDULUM], ids=["slide", "universal"])
-def test_without_mass_it_is_the_single_joint(hung: Hung, swinging: tuple[Run, ...]) -> None:
+def test_without_mass_it_is_the_single_joint(
+    hung: Hung,
+    swinging: tuple[Run, ...],
+) -> None:
     """What the driven body feels of inertia and gravity comes through the chain unchanged."""
     ours = problem(hung, swinging[0])
     values = ours.base[None].copy()
@@ -78,7 +88,10 @@ def test_without_mass_it_is_the_single_joint(hung: Hung, swinging: tuple[Run, ..
 
 
 @pytest.mark.parametrize("hung", [SLIDE, PENDULUM], ids=["slide", "universal"])
-def test_sensitivities_against_finite_differences(hung: Hung, swinging: tuple[Run, ...]) -> None:
+def test_sensitivities_against_finite_differences(
+    hung: Hung,
+    swinging: tuple[Run, ...],
+) -> None:
     ours = problem(hung, swinging[0])
     columns = np.array(
         [

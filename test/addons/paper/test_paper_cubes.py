@@ -63,7 +63,12 @@ def robot() -> Robot:
 
 @pytest.fixture(scope="module")
 def table() -> Response:
-    return response(np.full(3, EDGE), "log", "frictionless", far=True)
+    return response(
+        np.full(3, EDGE),
+        "log",
+        "frictionless",
+        far=True,
+    )
 
 
 def travel(robot: Robot) -> float:
@@ -105,7 +110,10 @@ def explicit(
         rows.append([values.get(name, 0.0) for name in SOFT_PARAMETERS])
     assert SOFT_INDEX["viscosity"] == len(SOFT_PARAMETERS) - 1
     body = SoftBody(
-        box(np.full(3, EDGE), (2, 2, 2)),
+        box(
+            np.full(3, EDGE),
+            (2, 2, 2),
+        ),
         mass,
         travel(robot),
         contact="frictionless",
@@ -130,7 +138,14 @@ def test_explicit_squeezes_identified_by_the_quasi_static_solver(
     before_s = np.arange(-20, 0) * FRAME_S
     runs = []
     for number, current_A in enumerate(currents_A(robot, table, modulus, ratio)):
-        q = explicit(robot, 40, current_A, np.array([[modulus, ratio]]), mass, 128)[0]
+        q = explicit(
+            robot,
+            40,
+            current_A,
+            np.array([[modulus, ratio]]),
+            mass,
+            128,
+        )[0]
         runs.append(
             Run(
                 name=f"squeeze {number}",
@@ -183,12 +198,21 @@ def test_quasi_static_squeezes_identified_by_the_explicit_solver(
         joint = JointRun(
             times_s, np.zeros(1), np.array([current_A]), step_s=1 / 960, fine_step_s=1 / 960
         )
-        run = SqueezeRun(joint, EDGE, EDGE**2, travel(robot), table)
+        run = SqueezeRun(
+            joint,
+            EDGE,
+            EDGE**2,
+            travel(robot),
+            table,
+        )
         recorded.append(SqueezeSimulator([run]).rollout(np.zeros(1, dtype=np.int32), p)[0][0])
 
     def simulated(points: np.ndarray) -> np.ndarray:
         moduli = np.stack(
-            [np.exp(points[:, 0]), points[:, 1]],
+            [
+                np.exp(points[:, 0]),
+                points[:, 1],
+            ],
             axis=1,
         )
         return np.hstack(

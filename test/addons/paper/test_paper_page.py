@@ -48,48 +48,95 @@ def toys(monkeypatch: pytest.MonkeyPatch) -> Iterator[list[tuple[str, int]]]:
     for name in list(EXPERIMENTS):
         monkeypatch.delitem(EXPERIMENTS, name)
     monkeypatch.setitem(EXPERIMENTS, "first", Experiment(toy("first")))
-    monkeypatch.setitem(EXPERIMENTS, "second", Experiment(toy("second"), seeds=2))
+    monkeypatch.setitem(
+        EXPERIMENTS,
+        "second",
+        Experiment(toy("second"), seeds=2),
+    )
     yield called
 
 
-def test_a_restart_computes_nothing_twice(tmp_path: Path, toys: list[tuple[str, int]]) -> None:
+def test_a_restart_computes_nothing_twice(
+    tmp_path: Path,
+    toys: list[tuple[str, int]],
+) -> None:
     told: list[str] = []
-    found = run(Store(tmp_path), [], 3, 1, told.append)
+    found = run(
+        Store(tmp_path),
+        [],
+        3,
+        1,
+        told.append,
+    )
     assert sorted(toys) == [("first", 0), ("first", 1), ("first", 2), ("second", 0), ("second", 1)]
     assert [rows["rows"][0]["square"] for rows in found["first"]] == [0, 1, 4]
     assert told[0].endswith("0 of them done before") and told[-1].startswith("5 of 5: ")
     # stopped while it wrote: that file is of no use, the others are
     (tmp_path / "rows" / "first_001.json").write_text('{"experiment": "fir')
     del toys[:]
-    again = run(Store(tmp_path), [], 4, 1, told.append)
+    again = run(
+        Store(tmp_path),
+        [],
+        4,
+        1,
+        told.append,
+    )
     assert sorted(toys) == [("first", 1), ("first", 3)]
     assert [rows["rows"] for rows in again["first"][:3]] == [
         rows["rows"] for rows in found["first"]
     ]
     assert again["second"] == found["second"]
     del toys[:]
-    run(Store(tmp_path), ["second"], 4, 1, told.append)
+    run(
+        Store(tmp_path),
+        ["second"],
+        4,
+        1,
+        told.append,
+    )
     assert toys == []
 
 
 def test_rows_of_other_code_are_computed_again(
-    tmp_path: Path, toys: list[tuple[str, int]], monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path,
+    toys: list[tuple[str, int]],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    run(Store(tmp_path), [], 1, 1, lambda words: None)
+    run(
+        Store(tmp_path),
+        [],
+        1,
+        1,
+        lambda words: None,
+    )
     monkeypatch.setattr(store, "code", lambda: "other")
-    run(Store(tmp_path), [], 1, 1, lambda words: None)
+    run(
+        Store(tmp_path),
+        [],
+        1,
+        1,
+        lambda words: None,
+    )
     assert toys == [("first", 0), ("second", 0)] * 2
 
 
 def test_an_experiment_that_cannot_be_made_is_told_and_left_out(
-    tmp_path: Path, toys: list[tuple[str, int]], monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path,
+    toys: list[tuple[str, int]],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     def fails(seed: int) -> Rows:
         raise SimulationError(f"robot {seed} stood still")
 
     monkeypatch.setitem(EXPERIMENTS, "second", Experiment(fails, seeds=1))
     told: list[str] = []
-    found = run(Store(tmp_path), [], 1, 1, told.append)
+    found = run(
+        Store(tmp_path),
+        [],
+        1,
+        1,
+        told.append,
+    )
     assert list(found) == ["first"]
     assert any("second, seed 0: robot 0 stood still" in words for words in told)
 
@@ -111,7 +158,15 @@ def test_what_is_not_installed_is_said_once(
 def test_what_is_not_installed_is_said_once_by_several_processes_that_end(tmp_path: Path) -> None:
     missing = tmp_path / "mujoco.py"
     missing.write_text("raise ModuleNotFoundError(\"No module named 'mujoco'\", name='mujoco')")
-    words = ["paper", "--out", str(tmp_path / "out"), "--seeds", "3", "--jobs", "2"]
+    words = [
+        "paper",
+        "--out",
+        str(tmp_path / "out"),
+        "--seeds",
+        "3",
+        "--jobs",
+        "2",
+    ]
     paths = os.pathsep.join([str(tmp_path), *filter(None, [os.environ.get("PYTHONPATH")])])
     # it returns when nobody holds the pipes any more, and so when no process is left
     done = subprocess.run(
@@ -277,11 +332,18 @@ def test_tree_parzen_finds_a_valley() -> None:
         np.random.default_rng(1),
     )
     assert len(asked) == 150 and (np.array(asked) >= low).all() and (np.array(asked) <= high).all()
-    np.testing.assert_allclose(best, [0.7, -0.2], atol=0.1)
+    np.testing.assert_allclose(
+        best,
+        [0.7, -0.2],
+        atol=0.1,
+    )
 
 
 @pytest.mark.long
-def test_the_command_on_one_seed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_on_one_seed(
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     """Starts and effects with one robot: about six seconds of computing."""
     arguments = [
         "paper",

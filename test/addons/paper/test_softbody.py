@@ -49,14 +49,21 @@ def parameters(**changes: float) -> np.ndarray:
 
 def body(n: int = 2, **options: str) -> SoftBody:
     return SoftBody(
-        box(np.full(3, EDGE), (n, n, n)),
+        box(
+            np.full(3, EDGE),
+            (n, n, n),
+        ),
         MASS,
         TRAVEL,
         **options,
     )
 
 
-def run(frames: int, current: float = 0.05, substeps: int = 64) -> SoftRun:
+def run(
+    frames: int,
+    current: float = 0.05,
+    substeps: int = 64,
+) -> SoftRun:
     return SoftRun(
         np.array([0.0, 0.05]), np.array([current, 0.7 * current]), frames, substeps=substeps
     )
@@ -139,9 +146,19 @@ def test_energy_is_kept_as_the_steps_shorten(contact: str) -> None:
             frame_s=1e-7,
             substeps=1,
         )
-        begin = total_energy(sim, sim.rollout(one, p), p, VALUES["inertia"])
+        begin = total_energy(
+            sim,
+            sim.rollout(one, p),
+            p,
+            VALUES["inertia"],
+        )
         drift = [
-            total_energy(sim, sim.rollout(run(frames, substeps=substeps), p), p, VALUES["inertia"])
+            total_energy(
+                sim,
+                sim.rollout(run(frames, substeps=substeps), p),
+                p,
+                VALUES["inertia"],
+            )
             / begin
             - 1.0
             for frames in (3, 6, 9)
@@ -183,14 +200,21 @@ def test_momentum_along_frictionless_faces(law: str) -> None:
         v = result.velocities[0]
         turning = x[:, 1] * v[:, 2] - x[:, 2] * v[:, 1]
         momenta.append(sim.masses @ np.column_stack([v[:, 1:], turning]))
-    np.testing.assert_allclose(momenta[1], momenta[0], rtol=1e-6)
+    np.testing.assert_allclose(
+        momenta[1],
+        momenta[0],
+        rtol=1e-6,
+    )
 
 
 def test_small_oscillation_of_a_gripper_on_a_spring() -> None:
     """Hooke's block: J q'' = -travel^2 (E A / L) q, the block's own inertia being 1e-4 of the gripper's."""
     modulus = 1000.0
     sim = SoftBody(
-        box(np.full(3, EDGE), (2, 2, 2)),
+        box(
+            np.full(3, EDGE),
+            (2, 2, 2),
+        ),
         0.01,
         TRAVEL,
         "linear",
@@ -240,10 +264,26 @@ def test_it_comes_to_rest_where_the_quasi_static_solver_says(law: str, contact: 
         torque_constant=torque,
         viscosity=3.0,
     )
-    q = sim.rollout(SoftRun(np.zeros(1), np.ones(1), 240, substeps=48), p).q[0]
+    q = sim.rollout(
+        SoftRun(
+            np.zeros(1),
+            np.ones(1),
+            240,
+            substeps=48,
+        ),
+        p,
+    ).q[0]
     assert abs(q[-1] - q[-20]) < 1e-8
     squeeze = TRAVEL * q[-1] - VALUES["gap"]
-    force = QuasiStatic(sim.mesh, law, contact).curve([squeeze], mu, lam).force[0]
+    force = (
+        QuasiStatic(sim.mesh, law, contact)
+        .curve(
+            [squeeze],
+            mu,
+            lam,
+        )
+        .force[0]
+    )
     assert squeeze > 0.1 * EDGE
     assert torque == pytest.approx(TRAVEL * force, rel=1e-6)
 
@@ -268,7 +308,11 @@ def test_adjoint_against_central_differences(law: str, contact: str, seed: int) 
         difference = (
             (sim.rollout(schedule, up).q - sim.rollout(schedule, down).q) * weights
         ).sum() / (2 * step)
-        assert gradient[row] == pytest.approx(difference, rel=2e-6, abs=1e-9 / abs(p[0, row])), name
+        assert gradient[row] == pytest.approx(
+            difference,
+            rel=2e-6,
+            abs=1e-9 / abs(p[0, row]),
+        ), name
     # the second backward pass of a rollout, and one that computes the states again
     np.testing.assert_array_equal(result.gradient(weights)[0], gradient)
     np.testing.assert_allclose(
@@ -285,8 +329,16 @@ def test_a_block_that_is_inside_out_unfolds(law: str) -> None:
     points[middle] = [0.002, 0.7 * EDGE, 0.003]
     assert sim.elastic.least_j(points) < -0.3
     p = parameters(viscosity=20.0, q0=0.0, v0=0.0, gap=1.0)  # never touched
-    end = sim.rollout(run(60, substeps=512), p, start=(points, np.zeros_like(points))).points[0]
-    np.testing.assert_allclose(end, sim.mesh.points, atol=1e-5 * EDGE)
+    end = sim.rollout(
+        run(60, substeps=512),
+        p,
+        start=(points, np.zeros_like(points)),
+    ).points[0]
+    np.testing.assert_allclose(
+        end,
+        sim.mesh.points,
+        atol=1e-5 * EDGE,
+    )
 
 
 def test_worlds_do_not_mix() -> None:
@@ -296,8 +348,14 @@ def test_worlds_do_not_mix() -> None:
     together = sim.rollout(run(6), p)
     gradient = together.gradient(weights)
     for world in range(3):
-        alone = sim.rollout(run(6), p[world : world + 1])
-        np.testing.assert_array_equal(alone.q[0], together.q[world])
+        alone = sim.rollout(
+            run(6),
+            p[world : world + 1],
+        )
+        np.testing.assert_array_equal(
+            alone.q[0],
+            together.q[world],
+        )
         np.testing.assert_allclose(
             alone.gradient(weights[world : world + 1])[0], gradient[world], rtol=1e-12
         )
@@ -394,7 +452,13 @@ def test_the_longest_step_is_where_it_becomes_unstable(contact: str) -> None:
             gap=1.0,
         )  # never touched
         try:
-            end = SoftRollout(sim, schedule, p, "starts", shaken(sim, 1e-12, 0.0)).points[0]
+            end = SoftRollout(
+                sim,
+                schedule,
+                p,
+                "starts",
+                shaken(sim, 1e-12, 0.0),
+            ).points[0]
         except SimulationError:
             end = np.full_like(sim.mesh.points, np.inf)
         assert (np.abs(end - sim.mesh.points).max() > 1e-9) == grows

@@ -59,7 +59,11 @@ class Bench:
     def write(self, register: str, value: int) -> None:
         self.bus.write(self.id, register, value)
 
-    def raw_write(self, register: str, data: bytes) -> tuple[int, int]:
+    def raw_write(
+        self,
+        register: str,
+        data: bytes,
+    ) -> tuple[int, int]:
         """Result of the vendor's library, and the error number in the answer."""
         address = REGISTERS[register].address
         packets = sdk.PacketHandler(2.0)
@@ -80,12 +84,18 @@ class Bench:
         )
         return bytes(data), result, error & ~ALERT
 
-    def _tried(self, exchange: Callable[[Any], Any]) -> Any:
+    def _tried(
+        self,
+        exchange: Callable[[Any], Any],
+    ) -> Any:
         return self.bus._guarded(exchange)
 
     def refusal(self, register: str, value: int) -> int:
         """Number of the error with which a write is refused; 0 when it is not."""
-        result, error = self.raw_write(register, REGISTERS[register].encode(value))
+        result, error = self.raw_write(
+            register,
+            REGISTERS[register].encode(value),
+        )
         assert result == sdk.COMM_SUCCESS
         return error
 
@@ -112,7 +122,13 @@ def bench(request: pytest.FixtureRequest) -> Iterator[Bench]:
 
         yield from opened(hardware, option("--hardware-moves"))
         return
-    with simulated() as time_of_the_test, Desk((11, 12), time_of_the_test) as desk:
+    with (
+        simulated() as time_of_the_test,
+        Desk(
+            (11, 12),
+            time_of_the_test,
+        ) as desk,
+    ):
         yield from opened(lambda fast: desk.bus(fast=fast), True)
 
 

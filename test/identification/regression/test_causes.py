@@ -35,7 +35,11 @@ def robot(tmp_path_factory: pytest.TempPathFactory) -> Robot:
 )
 def motion(request: pytest.FixtureRequest) -> Motion:
     payload = (1.5, np.array([0.03, 0.0, 0.05])) if request.param else None
-    return Twin(5, SIX).record("loaded" if request.param else "empty", 12.0, payload)
+    return Twin(5, SIX).record(
+        "loaded" if request.param else "empty",
+        12.0,
+        payload,
+    )
 
 
 def efforts(
@@ -72,7 +76,10 @@ def turned(motion: Motion) -> Motion:
     ],
 )
 def test_one_mistake_is_named(
-    robot: Robot, motion: Motion, bend: Callable[[Motion], Motion], words: str
+    robot: Robot,
+    motion: Motion,
+    bend: Callable[[Motion], Motion],
+    words: str,
 ) -> None:
     assert words in torque_cause(robot, bend(motion))
 

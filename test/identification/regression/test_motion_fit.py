@@ -129,7 +129,12 @@ def test_a_payload_adds_the_torque_of_its_parameters(
     arm = Ideal(4)
     centre = np.array([x_m, 0.03, -0.02])
     empty, loaded = (
-        equations(robot, arm.motion(5.0, held), SIX.joints) for held in (None, (mass_kg, centre))
+        equations(
+            robot,
+            arm.motion(5.0, held),
+            SIX.joints,
+        )
+        for held in (None, (mass_kg, centre))
     )
     ball = point_mass(centre)
     ball[[4, 7, 9]] += 0.4 * 0.05**2  # its own, as `urdf` makes it
@@ -162,7 +167,13 @@ def test_mass_and_place_are_found_by_what_the_empty_motion_said(robot: Robot, se
     )
     fit = fit_payload(
         robot,
-        [arm.motion(12.0, (mass_kg, centre), phase_s=3.0)],
+        [
+            arm.motion(
+                12.0,
+                (mass_kg, centre),
+                phase_s=3.0,
+            )
+        ],
         known,
     )
     assert abs(fit.values[0] - mass_kg) < min(0.01 * mass_kg, fit.half_width)
@@ -185,7 +196,10 @@ def test_friction_and_torques_are_those_of_the_arm(robot: Robot) -> None:
     arm = Ideal(8)
     known = fit_empty(
         robot,
-        [arm.motion(20.0), arm.motion(20.0, phase_s=40.0)],
+        [
+            arm.motion(20.0),
+            arm.motion(20.0, phase_s=40.0),
+        ],
     )
     values = dict(zip(known.keys, known.values, strict=True))
     for n, joint in enumerate(SIX.joints):
@@ -226,7 +240,13 @@ def test_a_calibration_is_the_mean_of_recordings_whose_torque_differs(
     assert rms(off) < 0.01 * rms(rows.torque)
     fit = fit_payload(
         robot,
-        [arm.motion(12.0, (mass_kg, centre), phase_s=3.0)],
+        [
+            arm.motion(
+                12.0,
+                (mass_kg, centre),
+                phase_s=3.0,
+            )
+        ],
         known,
     )
     assert abs(fit.values[0] - mass_kg) < min(0.02 * mass_kg, fit.half_width)
@@ -244,7 +264,13 @@ def test_halves_and_loaded_parts_of_a_problem_are_its_equations(robot: Robot) ->
             SIX.joints,
         )
     ]
-    parts.append(equations(robot, arm.motion(6.0), SIX.joints))
+    parts.append(
+        equations(
+            robot,
+            arm.motion(6.0),
+            SIX.joints,
+        )
+    )
     problem = Problem.of(parts, 1)
     assert problem.matrix.shape == (
         sum(len(part.joint) for part in parts),

@@ -148,7 +148,10 @@ def test_torques_in_another_unit_than_the_empty_ones_are_no_payload(
     ("build", "seed", "within_kg"), [(FOUR, 3, 0.006), (FOUR, 7, 0.006), (SIX, 3, 0.03)]
 )
 def test_an_arm_drawn_at_random_weighs_with_what_an_empty_motion_said(
-    robots: dict[int, Robot], build: Build, seed: int, within_kg: float
+    robots: dict[int, Robot],
+    build: Build,
+    seed: int,
+    within_kg: float,
 ) -> None:
     robot = robots[len(build.axes)]
     arm = Twin(seed, build)
@@ -289,7 +292,12 @@ def test_what_is_too_short_or_of_another_arm_is_refused(robots: dict[int, Robot]
     with pytest.raises(RecordingError, match="the calibration is of j1, j2, j3, j4"):
         fit_payload(
             robot,
-            [replace(motion, joints=("j1", "j2", "j3", "j5"))],
+            [
+                replace(
+                    motion,
+                    joints=("j1", "j2", "j3", "j5"),
+                )
+            ],
             known,
         )
 

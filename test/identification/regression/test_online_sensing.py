@@ -43,7 +43,10 @@ class Case:
         )
         self.day = arm.work(
             12.0,
-            [(TAKEN_S, arm.load(MASS_KG)), (LEFT_S, None)],
+            [
+                (TAKEN_S, arm.load(MASS_KG)),
+                (LEFT_S, None),
+            ],
         )
 
 
@@ -190,7 +193,12 @@ def test_every_second_sample_may_be_left_out_under_way(case: Case) -> None:
     day = list(told(case, rests))
     noticed = changes(day)
     assert len(noticed) == 2 and all(
-        0.0 < at - since < 0.25 for at, since in zip(noticed, (TAKEN_S, LEFT_S), strict=True)
+        0.0 < at - since < 0.25
+        for at, since in zip(
+            noticed,
+            (TAKEN_S, LEFT_S),
+            strict=True,
+        )
     ), noticed
     whole = [each for at, each in told(case, case.day) if at < LEFT_S][-1]
     thinned = [each for at, each in day if at < LEFT_S][-1]

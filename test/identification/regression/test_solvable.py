@@ -28,7 +28,10 @@ from proprio_ros.recordings.motions import Motion
 from proprio_ros.robot import Robot, load_robot
 from proprio_ros.sim.payload import PayloadFacts
 
-needs_real = pytest.mark.skipif(not REAL.is_dir(), reason=f"needs {REAL}")
+needs_real = pytest.mark.skipif(
+    not REAL.is_dir(),
+    reason=f"needs {REAL}",
+)
 HELD = (1.0, np.array([0.05, 0.02, 0.0]))
 
 
@@ -85,7 +88,9 @@ class Only:
     ],
 )
 def test_motions_of_different_joints_are_named(
-    robot: Robot, with_load: tuple[int, ...], empty: tuple[int, ...]
+    robot: Robot,
+    with_load: tuple[int, ...],
+    empty: tuple[int, ...],
 ) -> None:
     loaded = moving(*with_load).record("loaded", 20.0, HELD)
     baseline = moving(*empty).record("empty", 20.0)
@@ -102,7 +107,11 @@ def test_motions_of_different_joints_are_named(
 
 
 def test_a_joint_that_moves_with_the_load_only_is_named_and_counts_for_little(robot: Robot) -> None:
-    loaded = moving(0, 1, 2, 3).record("loaded", 30.0, HELD)
+    loaded = moving(0, 1, 2, 3).record(
+        "loaded",
+        30.0,
+        HELD,
+    )
     baseline = moving(0, 1, 2).record("empty", 30.0)
     estimate = identify_in_motion(
         robot,

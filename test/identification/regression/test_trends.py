@@ -32,7 +32,11 @@ def twin() -> Twin:
 
 @pytest.fixture(scope="module")
 def motions(twin: Twin) -> tuple[Motion, Motion]:
-    return twin.record("loaded", SECONDS, PAYLOAD), twin.record("empty", SECONDS)
+    return twin.record(
+        "loaded",
+        SECONDS,
+        PAYLOAD,
+    ), twin.record("empty", SECONDS)
 
 
 def weighed(
@@ -83,7 +87,10 @@ def warmed(
     ],
 )
 def test_motors_that_warm_up_are_followed(
-    robot: Robot, motions: tuple[Motion, Motion], friction: float, torque: float
+    robot: Robot,
+    motions: tuple[Motion, Motion],
+    friction: float,
+    torque: float,
 ) -> None:
     loaded, empty = motions
     right = weighed(robot, loaded, empty)

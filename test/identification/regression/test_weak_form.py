@@ -143,7 +143,11 @@ def test_a_payload_and_its_place(twin: Recorded) -> None:
     assert mass.ci95[1] - mass.ci95[0] < 0.12
     assert all(
         low < truth < high
-        for (low, high), truth in zip(centre.ci95, (0.05, 0.03, -0.02), strict=True)
+        for (low, high), truth in zip(
+            centre.ci95,
+            (0.05, 0.03, -0.02),
+            strict=True,
+        )
     )
 
 

@@ -85,7 +85,12 @@ def header_clock_steps(
     return _stepped(tape, step_s, at, recorder=False)
 
 
-@bend("clocks", Right(told=True, cause=CLOCK), step_s=either_sign(0.3, 5.0), at=between(0.25, 0.75))
+@bend(
+    "clocks",
+    Right(told=True, cause=CLOCK),
+    step_s=either_sign(0.3, 5.0),
+    at=between(0.25, 0.75),
+)
 def recorder_clock_steps(
     tape: Tape,
     rng: Rng,
@@ -162,7 +167,12 @@ def bursts_stamped_at_arrival(
     return tape.retimed(arrived, stamps=headers)
 
 
-@bend("clocks", Right(cause=CLOCK), every_ms=between(15.0, 200.0), scatter=between(0.0, 0.3))
+@bend(
+    "clocks",
+    Right(cause=CLOCK),
+    every_ms=between(15.0, 200.0),
+    scatter=between(0.0, 0.3),
+)
 def stamped_when_polled(
     tape: Tape,
     rng: Rng,
@@ -181,7 +191,12 @@ def stamped_when_polled(
     return tape.retimed(polled)
 
 
-@bend("clocks", Right(), rate=one_of((2, 3, 5)), field=one_of(("position", "effort")))
+@bend(
+    "clocks",
+    Right(),
+    rate=one_of((2, 3, 5)),
+    field=one_of(("position", "effort")),
+)
 def one_register_held(
     tape: Tape,
     rng: Rng,

@@ -123,7 +123,11 @@ def copies_in_another_order(tape: Tape, rng: Rng, order: str) -> Tape:
     return tape.and_stream(other)
 
 
-@bend("publishers", Right(told=True, cause=PUBLISHERS), rate=one_of((1, 2, 10)))
+@bend(
+    "publishers",
+    Right(told=True, cause=PUBLISHERS),
+    rate=one_of((1, 2, 10)),
+)
 def another_pose(tape: Tape, rng: Rng, rate: int) -> Tape:
     """A second publisher says one pose all the time, with velocity and effort of 0."""
     states = tape.states
@@ -212,14 +216,25 @@ def gripper_names_the_arm(
     return tape.and_stream(other)
 
 
-@bend("publishers", Right(told=False, cause="publishers"), rate=one_of((1, 2)))
+@bend(
+    "publishers",
+    Right(told=False, cause="publishers"),
+    rate=one_of((1, 2)),
+)
 def another_arm(tape: Tape, rng: Rng, rate: int) -> Tape:
     """A second arm's driver, or somebody's sliders, publishes the same joints elsewhere, with efforts of its own."""
     states = tape.states
     chosen = states.kept(np.arange(len(states.bag_ns)) % rate == 0)
     shape = chosen.values["position"].shape
     times_s = 1e-9 * (chosen.bag_ns - states.bag_ns[0])[:, None]
-    position = 1.0 + 0.5 * np.sin(0.3 * times_s + rng.uniform(0.0, 6.0, shape[1]))
+    position = 1.0 + 0.5 * np.sin(
+        0.3 * times_s
+        + rng.uniform(
+            0.0,
+            6.0,
+            shape[1],
+        )
+    )
     shift_ns = int(0.3 * np.median(np.diff(states.bag_ns)))
     other = replace(
         chosen,

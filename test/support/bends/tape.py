@@ -173,7 +173,14 @@ def tape_of(bag: Path) -> Tape:
         else:
             raw = bytes(types.serialize_cdr(message, msgtype))
             others.append(RawMessage(topic, msgtype, time_ns, raw))
-    streams = [_stream(key[0], key[1], found) for key, found in groups.items()]
+    streams = [
+        _stream(
+            key[0],
+            key[1],
+            found,
+        )
+        for key, found in groups.items()
+    ]
     return Tape(tuple(streams), tuple(others))
 
 

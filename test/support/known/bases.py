@@ -358,7 +358,14 @@ def drawn(first: int) -> tuple[Base, ...]:
         *(twin("six", seed) for seed in seeds[:4]),
         *(twin("three", seed) for seed in seeds[:2]),
         *(twin("four", seed) for seed in seeds[:3]),
-        *(ready(arm, seed) for arm, seed in zip(simulated.READY, seeds[1:], strict=False)),
+        *(
+            ready(arm, seed)
+            for arm, seed in zip(
+                simulated.READY,
+                seeds[1:],
+                strict=False,
+            )
+        ),
         *(so101(seed) for seed in seeds[:2]),
     )
 
