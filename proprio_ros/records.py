@@ -79,7 +79,8 @@ def _keep(
 
 def _names(names: Sequence[str], what: str) -> tuple[str, ...]:
     result = tuple(str(name) for name in names)
-    if repeated := [name for name, count in Counter(result).items() if count > 1]:
+    repeated = [name for name, count in Counter(result).items() if count > 1]
+    if repeated:
         raise RecordingError(
             f"{what}: joint {min(repeated)!r} is named twice; each joint needs one column"
         )

@@ -51,7 +51,8 @@ def end_with_parent() -> None:
         os._exit(1)
 
     def wait() -> None:
-        if (parent := multiprocessing.parent_process()) is not None:
+        parent = multiprocessing.parent_process()
+        if parent is not None:
             parent.join()
             leave()
 

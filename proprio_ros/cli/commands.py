@@ -47,7 +47,8 @@ def command_line(given: Sequence[str]) -> str:
 
 def _refuse_unwritable(report: str | None, force: bool, output: str = "") -> None:
     """Before the work, and before anything is printed; ``output`` is what is written beside the report."""
-    if problem := path_problem(report or "."):
+    problem = path_problem(report or ".")
+    if problem:
         raise ConfigurationError(f"--report {one_line(report or '', 60)}: {problem}")
     folder = real_path(report or ".").parent
     if report and not (folder.is_dir() and os.access(folder, os.W_OK)):

@@ -51,7 +51,8 @@ def script(shell: str, parser: argparse.ArgumentParser) -> str:
             f'                "{name}") words={shlex.quote(" ".join(flag for _, flag in named))} ;;'
         )
         for action, flag in named:
-            if words := _values(action, flag):
+            words = _values(action, flag)
+            if words:
                 values.append(
                     f'            "{name} {flag}") words={shlex.quote(" ".join(words))} ;;'
                 )

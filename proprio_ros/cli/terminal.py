@@ -80,7 +80,8 @@ def laid_out(line: str, stream: Any) -> str:
     if os.environ.get("NO_COLOR") or os.environ.get("TERM") == "dumb":
         return line
     for colour, begins in COLOURS.items():
-        if (found := re.match(begins, line, re.DOTALL)) is not None:
+        found = re.match(begins, line, re.DOTALL)
+        if found is not None:
             return f"\033[{colour}m{found[0]}\033[0m{line[found.end() :]}"
     return line
 
@@ -108,9 +109,11 @@ def estimate_as_text(estimate: Any) -> str:
     lines = [f"{estimate.verdict.value}  ({estimate.probe}, {estimate.robot}, {runs})"]
     lines += ["  " + _value_text(value, estimate.interval_first) for value in estimate.values]
     lines += [f"  - {reason}" for reason in estimate.reasons]
-    if (fit := estimate.fit) is not None:
+    fit = estimate.fit
+    if fit is not None:
         lines.append(f"{_fit_text(fit)}, reduced chi-square {fit.reduced_chi2:.2f}")
-    if (solver := estimate.solver) is not None:
+    solver = estimate.solver
+    if solver is not None:
         lines.append(
             f"  solver: {solver.name}, {solver.starts_agreeing} of {len(solver.paths)} starts agree"
         )
@@ -138,7 +141,8 @@ def calibration_as_text(estimate: Any) -> str:
         unit = "" if row.unit == "1" else " " + row.unit
         before = f"({source}: {row.prior:.5f} +- {row.prior_std:.5f})"
         lines.append(f"  {row.name:34s} {row.value:9.5f} +- {row.std:.5f}{unit}   {before}")
-    if more := len(estimate.unknowns) - len(listed):
+    more = len(estimate.unknowns) - len(listed)
+    if more:
         what = (
             "more: zeros, encoder errors and links"
             if of_runs

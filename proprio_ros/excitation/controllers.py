@@ -76,7 +76,8 @@ class Controller(ABC):
         if not joints:
             words = f"state the {self.kind} controller's `joints` in its order; {robot.name} drives {driven}"
             raise ConfigurationError(f"controller_joints is empty: {words}")
-        if unknown := [name for name in joints if name not in robot.drive_trains]:
+        unknown = [name for name in joints if name not in robot.drive_trains]
+        if unknown:
             words = f"{robot.name} does not drive {', '.join(unknown)}{self.without}; it drives {driven}"
             raise ConfigurationError(f"controller_joints: {words}")
         if len(set(joints)) != len(joints):
@@ -122,7 +123,8 @@ class Controller(ABC):
         named = {*sequence.home, *sequence.from_here}
         for run in sequence.runs:
             named |= {run.joint, *run.start}
-        if others := sorted(named - {*self.joints}):
+        others = sorted(named - {*self.joints})
+        if others:
             lacks = f"{', '.join(others)}, which the {self.kind} controller does not have"
             remedy = "add to controller_joints, or choose a sequence without it"
             raise ExcitationError(f"{sequence.name} moves {lacks}: {remedy}")

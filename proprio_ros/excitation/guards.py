@@ -71,7 +71,8 @@ def check_start(sample: JointSample, ways: Ways, guards: Guards) -> None:
     Raises:
         ExcitationError: The sample is no good, or a joint is beyond its limits.
     """
-    if problem := unfit(sample, ways.joints):
+    problem = unfit(sample, ways.joints)
+    if problem:
         raise ExcitationError(f"cannot start: {problem}")
     for name in ways.joints:
         low, high = ways.limits(name, -guards.limit_margin_rad)

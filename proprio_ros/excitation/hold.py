@@ -503,7 +503,8 @@ class Hold:
             self.lost = self._why_lost(name, now_s)
             if not self.lost:
                 continue
-            if paused_s := self._arrivals.paused_s:
+            paused_s = self._arrivals.paused_s
+            if paused_s:
                 self.lost += f", after joint states had paused for {1e3 * paused_s:.0f} ms"
             return
 

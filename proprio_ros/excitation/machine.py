@@ -335,13 +335,15 @@ class ExcitationMachine:
         longest_s = self.guards.stale_after_s
         if self.phase not in DRIVEN:
             longest_s = max(self.guards.patience_s, longest_s)
-        if problem := self._take_time(now_s, longest_s):
+        problem = self._take_time(now_s, longest_s)
+        if problem:
             return problem
         self._seen_s = 0.0
         gap_s = 0.0
         if sample is not None:
             gap_s = sample.time_s - self._sample.time_s
-            if problem := self._take_sample(sample, gap_s):
+            problem = self._take_sample(sample, gap_s)
+            if problem:
                 return problem
         age_s = now_s - self._sample.time_s
         if age_s > longest_s:
@@ -372,14 +374,16 @@ class ExcitationMachine:
         return None
 
     def _take_sample(self, sample: JointSample, gap_s: float) -> Problem | None:
-        if words := unfit(sample, self.joints):
+        words = unfit(sample, self.joints)
+        if words:
             return Problem("sample", words)
         if gap_s < 0.0:
             return Problem("clock", f"a sample is {-gap_s:.3f} s older than the one before it")
         # goals wait for joints that were not seen for a while: the servos may have missed the command, too
         self._seen_s = min(gap_s, LONGEST_STEP_S)
         if gap_s > 0.0:
-            if problem := self._jumped(sample, gap_s):
+            problem = self._jumped(sample, gap_s)
+            if problem:
                 return problem
             self._sample = sample
             self._recent.append((sample.time_s, sample.position[self._run.joint]))
@@ -403,11 +407,13 @@ class ExcitationMachine:
 
     def _watch(self) -> Problem | None:
         """What the joints do that they should not, in the phase of this tick."""
-        if problem := self._too_fast():
+        problem = self._too_fast()
+        if problem:
             return problem
         if self.phase not in DRIVEN:
             return self._not_following()
-        if problem := self._gave_way():
+        problem = self._gave_way()
+        if problem:
             return problem
         return self._about_to_leave()
 

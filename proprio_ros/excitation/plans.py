@@ -235,7 +235,8 @@ def check_sequence(sequence: ExcitationSequence, robot: Robot) -> None:
         ConfigurationError: No run, an unknown joint, a current above the motor's limit, a pose outside the joints' limits
             or too low above the base's plane.
     """
-    if problem := next(_of_sequence(sequence, robot), ""):
+    problem = next(_of_sequence(sequence, robot), "")
+    if problem:
         raise ConfigurationError(f"{sequence.name}: {problem}")
 
 
@@ -495,7 +496,8 @@ def _values(
     if not isinstance(section, Mapping):
         words = f"expected keys and values, got {section!r}; keys: {choices}"
         raise ConfigurationError(f"{where}: {words}")
-    if unknown := [str(key) for key in section if key not in entries]:
+    unknown = [str(key) for key in section if key not in entries]
+    if unknown:
         words = f"unknown key {', '.join(unknown)}; valid keys: {choices}"
         raise ConfigurationError(f"{where}: {words}")
     required = [
@@ -503,7 +505,8 @@ def _values(
         for name, entry in entries.items()
         if entry.default is MISSING and entry.default_factory is MISSING
     ]
-    if missing := [name for name in required if name not in section]:
+    missing = [name for name in required if name not in section]
+    if missing:
         raise ConfigurationError(f"{where}: lacks {', '.join(missing)}; valid keys: {choices}")
     values = dict(section)
     for key, value in section.items():

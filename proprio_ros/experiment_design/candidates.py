@@ -119,7 +119,8 @@ def candidate_joints(robot: Robot) -> list[str]:
             for each in (name, *joints_that_matter(robot, name))
         }
         poses = [rest | places for places in itertools.islice(shuffled(ends), MOST_LOOKED_AT)]
-        if not (poses := [pose for pose in poses if clearance(robot, pose) >= CLEARANCE_M]):
+        poses = [pose for pose in poses if clearance(robot, pose) >= CLEARANCE_M]
+        if not poses:
             continue
         _, payload = at_poses(
             robot,

@@ -414,7 +414,8 @@ def _suitable(
     """Candidates that stay inside all limits whatever is in the hand, one after the other, and the place of each among its like."""
     for joint in joints:
         for pose in start_poses(robot, joint, starts, locked):
-            if (candidates := simulate(joint, pose)) is not None:
+            candidates = simulate(joint, pose)
+            if candidates is not None:
                 yield from (
                     (candidates, r) for r in np.flatnonzero(candidates.fits.all(axis=0)).tolist()
                 )

@@ -106,7 +106,8 @@ class Search:
         while grids:
             for _ in range(AT_A_TIME):
                 for joint in [*grids]:
-                    if (places := next(grids[joint], None)) is None:
+                    places = next(grids[joint], None)
+                    if places is None:
                         del grids[joint]
                         continue
                     self._try(joint, self._rest | places)

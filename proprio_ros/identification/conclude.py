@@ -196,7 +196,8 @@ class Conclusion:
     def several(self, share: float, cure: str = "") -> Iterator[Refusal]:
         """Where other starts explain the recording as well, at masses that differ by more than ``share``."""
         mass = self.assessed.value
-        if others := rivals(self.fit, self.name, mass, self.assessed.std, share):
+        others = rivals(self.fit, self.name, mass, self.assessed.std, share)
+        if others:
             several = "more than one mass explains the recording"
             masses = ", ".join(f"{1e3 * each:.1f} g" for each in sorted((mass, *others)))
             yield not_identifiable(
@@ -281,7 +282,8 @@ class Conclusion:
                 self.apart.sentence,
             )
         yield from self.refusals()
-        if useful := self.useful():
+        useful = self.useful()
+        if useful:
             yield from too_wide(self.assessed, useful, self.budget)
 
     def cautions(self, solver: SolverSummary) -> Iterator[str]:
@@ -297,7 +299,8 @@ class Conclusion:
             said = f"the fit is {times} coarser than the encoder {rms}: the interval was widened by that factor"
             yield Reason("coarse_fit", said)
         yield from self.remarks()
-        if elsewhere := len(solver.paths) - solver.starts_agreeing:
+        elsewhere = len(solver.paths) - solver.starts_agreeing
+        if elsewhere:
             ended = f"{elsewhere} of {len(solver.paths)} starts of the search ended at another {label_of(self.name)}"
             yield Reason(
                 "starts_disagree",

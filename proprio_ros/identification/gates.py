@@ -113,7 +113,8 @@ def unusable(run: PreparedRun) -> str:
             "few_samples",
             f"only {run.used} usable samples, because {why}",
         )
-    if jump := "" if run.run.free else held_jump(run):
+    jump = "" if run.run.free else held_jump(run)
+    if jump:
         return jumped(jump)
     if abs(run.travel) < STUCK_TRAVEL:
         so = "so friction and not the weight decides where it is"
@@ -133,7 +134,8 @@ def admitted(robot: Robot, run: PreparedRun, found: Findings) -> bool:
         run: Prepared.
         found: Takes what is wrong or unusual.
     """
-    if problem := unusable(run):
+    problem = unusable(run)
+    if problem:
         found.reasons.append(of_run(run.run.name, problem))
     screen_run(robot, run, found)
     return not problem

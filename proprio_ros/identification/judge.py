@@ -372,7 +372,8 @@ def judge(
     refusal = next(iter(refusals), ACCEPTED)
     if assessed is None or not np.isfinite(assessed.fit.chi2):
         return refusal
-    if far := assessed.far_from_priors():
+    far = assessed.far_from_priors()
+    if far:
         if refusal.verdict is Verdict.REJECTED:
             moreover = [Reason("far_from_prior", f"moreover, {each}") for each in far]
             refusal = replace(refusal, reasons=(*refusal.reasons, *moreover))
@@ -383,11 +384,13 @@ def judge(
                 f"the simulation only follows the recording where {'; '.join(far)}: the model is wrong, or the file is",
                 *other_suspects(assessed.robot),
             )
-    if zeros := assessed.other_zeros():
+    zeros = assessed.other_zeros()
+    if zeros:
         others = refusal.reasons if refusal.verdict is Verdict.REJECTED else ()
         withheld = refusal.withheld if others else "a joint is read from elsewhere than it is"
         refusal = Refusal(Verdict.REJECTED, withheld, (*others, *zeros))
-    if off := stamps_off(assessed.fit):
+    off = stamps_off(assessed.fit)
+    if off:
         others = () if refusal.verdict is Verdict.TOO_WIDE else refusal.reasons
         refusal = Refusal(
             Verdict.REJECTED,

@@ -239,7 +239,8 @@ def _reduced(
         known = f"{robot.name} has no drive train for it (it has: {', '.join(robot.drive_trains)})"
         raise RecordingError(f"{run.name}: {run.joint} was driven, but {known}")
     others = [name for name in robot.model.independent_joints if name != run.joint]
-    if missing := [name for name in others if name not in run.held]:
+    missing = [name for name in others if name not in run.held]
+    if missing:
         cure = f"state it with --set held.{missing[0]}=VALUE"
         raise RecordingError(
             f"{run.name}: no position of {', '.join(missing)} in the recording; {cure}"

@@ -266,7 +266,8 @@ def usable_runs(
     usable = []
     for loaded in runs:
         prepared = prepare_run(robot, loaded.run, loaded.load)
-        if why := gates.unusable(prepared) or refused(prepared):
+        why = gates.unusable(prepared) or refused(prepared)
+        if why:
             found.notes.append(f"{loaded.run.name} was left out: {why}")
             continue
         usable.append(prepared)
@@ -326,7 +327,8 @@ def _misfits(
         return [f"misfit: the runs only agree if {come}; {file} {cause}"]
     if not fitted.problem.runs[0].run.free:
         return []
-    if (share := missed_share(fitted.posterior)) > MISSED_SHARE:
+    share = missed_share(fitted.posterior)
+    if share > MISSED_SHARE:
         return [said_missed(share)]
     if noise.friction_spread > CHANGING:
         differs = f"friction differs by {100 * noise.friction_spread:.0f} % from one to the next"
@@ -502,7 +504,8 @@ def _fit_what_agrees(
     kept = _without(left_out, runs)
     fitted = fit(robot, kept)
     while len(left_out) <= gates.LEFT_OUT_AT_MOST * len(runs) and len(kept) > 2:
-        if (outlier := _outlier(robot, fitted)) is None:
+        outlier = _outlier(robot, fitted)
+        if outlier is None:
             break
         left_out.append(kept.pop(outlier))
         progress(f"{left_out[-1].run.name} contradicts the others; fitting without it")
@@ -683,7 +686,8 @@ def _not_separated(
             0,
             f"{ratio}: every mass is uncertain by {100 * scale.std:.1f} % {until}",
         )
-    if (more := len(sentences) - SAID_AT_MOST) > 0:
+    more = len(sentences) - SAID_AT_MOST
+    if more > 0:
         sentences[SAID_AT_MOST:] = [f"and {more} more: see the correlations"]
     return tuple(sentences)
 

@@ -64,13 +64,12 @@ def stamps_off(fit: FitResult) -> list[Reason]:
             / row[INDEX["inertia"]]
         )
         # what begins before it is said to, ends before it is said to
-        if (
-            begun_s := moves_before(
-                run,
-                robot.delay.value - spread,
-                robot.stamp_jitter_s,
-            )
-        ) is not None:
+        begun_s = moves_before(
+            run,
+            robot.delay.value - spread,
+            robot.stamp_jitter_s,
+        )
+        if begun_s is not None:
             said = (
                 f"moves {-1e3 * begun_s:.0f} ms or more before the current that is said to drive it"
             )

@@ -76,7 +76,8 @@ def text_of(
     Raises:
         ProprioError: Of the kind given: it cannot be read, is no text, or is too long.
     """
-    if problem := path_problem(path):
+    problem = path_problem(path)
+    if problem:
         raise error(f"{path}: {problem}")
     try:
         if path.exists() and not stat.S_ISREG(path.stat().st_mode):

@@ -117,7 +117,8 @@ class Carrier:
         Raises:
             RobotError: The pose lacks a joint.
         """
-        if lacking := [name for name in self.joints if name not in pose]:
+        lacking = [name for name in self.joints if name not in pose]
+        if lacking:
             raise RobotError(f"the pose lacks {', '.join(lacking)}; state all joints")
         positions = np.array([[pose[name] for name in self.joints]])  # (1, n)
         columns = gravity_torques(self._arm.model, positions)[0]

@@ -37,7 +37,8 @@ class Carrying:
         self._std = node.create_publisher(JointState, "~/gravity_effort_std", COMMANDS)
         self._capability = node.create_publisher(DiagnosticStatus, "~/capability", LATCHED)
         node.create_subscription(JointState, "~/carry_to", self._on_goal, COMMANDS)
-        if rate_Hz := float(node.values["gravity_effort_rate"]):
+        rate_Hz = float(node.values["gravity_effort_rate"])
+        if rate_Hz:
             node.every(1.0 / rate_Hz, self._publish)
 
     def use(self, robot: Robot) -> None:

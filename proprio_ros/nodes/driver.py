@@ -210,11 +210,13 @@ class DriverNode(ManagedNode):
     # each logs for itself, since a place in the code is throttled, not a sentence
 
     def _on_current(self, message: Float64MultiArray, info: dict[str, Any]) -> None:
-        if reason := self._obey(message, info, "current_command", ArmDriver.command_currents):
+        reason = self._obey(message, info, "current_command", ArmDriver.command_currents)
+        if reason:
             self.get_logger().error(f"current_command refused: {reason}", throttle_duration_sec=1.0)
 
     def _on_position(self, message: Float64MultiArray, info: dict[str, Any]) -> None:
-        if reason := self._obey(message, info, "position_command", ArmDriver.command_positions):
+        reason = self._obey(message, info, "position_command", ArmDriver.command_positions)
+        if reason:
             self.get_logger().error(
                 f"position_command refused: {reason}", throttle_duration_sec=1.0
             )

@@ -219,7 +219,8 @@ class ExcitationNode(ManagedNode):
             self._sample = sample
             self._tick(now)
         if self.active and any(name in self._machine.joints for name in message.name):
-            if lost := self._output.hear(message, now, whole=sample is not None):
+            lost = self._output.hear(message, now, whole=sample is not None)
+            if lost:
                 remedy = (
                     "check sign and unit of the efforts, what it carries, and who else moves it"
                 )
@@ -358,7 +359,8 @@ class ExcitationNode(ManagedNode):
 
     def begin_run(self) -> tuple[bool, str]:
         """Begin the sequence now; whether it has begun, and what there is to say."""
-        if why := self.refused():
+        why = self.refused()
+        if why:
             return False, why
         assert self._sample is not None
         try:

@@ -226,7 +226,8 @@ class IdentifierNode(ManagedNode):
         """All that needs the robot."""
         workspace = self.workspace
         stated = parse_settings(value_of(self, "settings"))
-        if warning := workspace.find_calibration(self.values["calibration"]):
+        warning = workspace.find_calibration(self.values["calibration"])
+        if warning:
             self.say("warning", warning)
         for name, default in self._sequences.items():
             if value_of(self, name) != default:  # not every robot can make every default
@@ -296,7 +297,8 @@ class IdentifierNode(ManagedNode):
     def deactivate(self) -> None:
         self.excitation.closing = True
         self.weighing.end()
-        if (job := self._job) is not None:
+        job = self._job
+        if job is not None:
             job.cancelled.set()
             job.ended.wait(CALL_S)
         self.jobs.save_again()
@@ -324,7 +326,8 @@ class IdentifierNode(ManagedNode):
 
     def _on_progress(self, words: str, values: dict[str, str]) -> None:
         """The excitation node is busy."""
-        if (job := self._job) is not None:
+        job = self._job
+        if job is not None:
             entries = {key: values.get(key, "") for key in ("fraction", "phase")}
             self.results.tell(job.kind, words, entries)
 
@@ -332,7 +335,8 @@ class IdentifierNode(ManagedNode):
         """Why no job can be begun now, or an empty string."""
         if not self.active:
             return "the identifier node is not active"
-        if missing := self._missing():
+        missing = self._missing()
+        if missing:
             return f"not ready: {missing}"
         job = self._job
         return (
@@ -348,7 +352,8 @@ class IdentifierNode(ManagedNode):
             JobError: This node is not ready, or busy.
             ProprioError: Its facts or its sequence cannot be understood.
         """
-        if why := self._refused():
+        why = self._refused()
+        if why:
             raise JobError(why)
         facts = {**parse_settings(value_of(self, "settings")), **parse_settings(job.settings)}
         check_settings(replace(self.workspace.options(), settings=facts))
@@ -360,7 +365,8 @@ class IdentifierNode(ManagedNode):
 
     def _begin_job(self, job: Job, answer: Answer) -> None:
         """Begin a job, or answer why there can be none now."""
-        if why := self._refused():
+        why = self._refused()
+        if why:
             return answer(False, why)
         self._job = job
         clock.thread(target=self._work, args=(job, answer), name=f"calibrate {job.kind}").start()

@@ -290,7 +290,8 @@ class Jobs:
         bag = self.record(job, ROBOT, sequence, request)
         empty: list[str | Path] = [bag]
         references: dict[str | Path, float] = {}
-        if chosen := self._chosen(job, sequence, request, empty, references, 0.0):
+        chosen = self._chosen(job, sequence, request, empty, references, 0.0)
+        if chosen:
             empty.append(self.record(job, ROBOT, chosen, request))
         mass = float(self._value("reference_mass"))
         if mass > 0.0:
@@ -301,7 +302,8 @@ class Jobs:
             sequence = self._value("reference_sequence")
             if load_sequence(sequence, request.robot).runs:
                 references[self.record(job, "reference", sequence, request)] = mass
-            if chosen := self._chosen(job, sequence, request, empty, references, mass):
+            chosen = self._chosen(job, sequence, request, empty, references, mass)
+            if chosen:
                 references[self.record(job, "reference", chosen, request)] = mass
         tell("identifying the robot")
         output = bag.parent / "calibration.yaml"
@@ -401,7 +403,8 @@ class Jobs:
                 False,
                 f"{estimate.verdict.value}: {'; '.join(estimate.reasons)}; recording: {bag}",
             )
-        if not (stays := self._workspace.keep_calibration(output)):
+        stays = self._workspace.keep_calibration(output)
+        if not stays:
             self._weighing.prepare()
             self._weighing.begin()
         return True, f"{sentence}; calibration: {output}" + f"; {stays}" * bool(stays)

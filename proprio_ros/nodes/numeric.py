@@ -198,7 +198,8 @@ class WeighAction:
         weighing = {each.name: each for each in all_probes() if each.answer[1] == "kg"} | {
             WEIGH: probe_at_work()
         }
-        if (probe := weighing.get(target)) is None:
+        probe = weighing.get(target)
+        if probe is None:
             raise ConfigurationError(f"target {target!r}: give one of {', '.join(weighing)}")
         job = Job(
             target,
@@ -234,7 +235,8 @@ class WeighAction:
         return self._begin(job, answer)
 
     def _on_cancel(self, goal: Any) -> CancelResponse:
-        if (job := self._job) is not None:
+        job = self._job
+        if job is not None:
             job.cancelled.set()
         return CancelResponse.REJECT if job is None else CancelResponse.ACCEPT
 

@@ -61,7 +61,8 @@ class HandingOn:
 
     def _link(self, links: set[str]) -> str:
         """Whose frame is the controller's."""
-        if stated := self._node.values["hand_on_link"]:
+        stated = self._node.values["hand_on_link"]
+        if stated:
             return str(stated)
         for usual in self._controller.links:
             if usual in links:

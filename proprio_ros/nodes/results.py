@@ -176,7 +176,8 @@ class Results:
         self._estimate.publish(
             messages.diagnostics(when_ns, [messages.status(level, name, message, values)])
         )
-        if withdraw := self._stamped.publish(self.link, values, when_ns):
+        withdraw = self._stamped.publish(self.link, values, when_ns)
+        if withdraw:
             self._standing["stamped"] = withdraw
         self.hear(message, values)
 

@@ -179,7 +179,8 @@ def _read(
         progress(f"reading {path} ({number} of {len(paths)})")
         read = read_bag(path, request)
         found = read.motors.get()
-        if differences := other_arm(motors, found):
+        differences = other_arm(motors, found)
+        if differences:
             raise RecordingError(
                 f"another arm than that of the recordings before it: {differences}", path
             )
@@ -243,7 +244,8 @@ def refresh_from_bags(
     if old is None:
         raise ConfigurationError("nothing to bring up to date: name the old calibration")
     _check_given(paths, output, force)
-    if stated := [key for key in options.settings if key.startswith("robot.")]:
+    stated = [key for key in options.settings if key.startswith("robot.")]
+    if stated:
         raise ConfigurationError(
             f"--set {stated[0]}: {old} says what the robot is; leave it out, or calibrate from the start"
         )
@@ -269,7 +271,8 @@ def refresh_from_bags(
         solvable(refresh)(robot, [LoadedRun(run) for run in runs], progress),
         progress=progress,
     )
-    if (learnt := estimate.calibration) is not None:
+    learnt = estimate.calibration
+    if learnt is not None:
         learnt = replace(
             learnt,
             motors={**fresh.motors, **recorded.motors},
@@ -353,7 +356,8 @@ def _with_implied_scale(
     reasons = (*estimate.reasons, Reason("far_from_prior", f"{said}, and {weight}; {cure}"))
     if abs(mistyped) > FAR:
         return replace(estimate, verdict=Verdict.REJECTED, reasons=reasons)
-    if (motion := estimate.motion) is not None and (weighable := estimate.weighable) is not None:
+    motion = estimate.motion
+    if motion is not None and (weighable := estimate.weighable) is not None:
         # until it has been weighed again, the intervals of masses reach what the robot file says
         std = max(motion.torque_scale_std, abs(1.0 - 1.0 / scale.value) / Z95)
         until = (
@@ -375,7 +379,8 @@ def _implied_scale(
 
     Free responses tell no torque but the rotor's inertia, which follows the references as torque does. In words first.
     """
-    if (motion := estimate.motion) is not None:
+    motion = estimate.motion
+    if motion is not None:
         if not motion.referenced:
             return None
         std = max(relative_torque_std(robot, joint) for joint in motion.joints)

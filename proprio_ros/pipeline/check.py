@@ -293,7 +293,8 @@ def _of_robot(
         return (Finding("no_torque_constants", why),)
     found = []
     for name, drive in robot.drive_trains.items():
-        if (kind := drive.driven_by) is not None and name in recorded:
+        kind = drive.driven_by
+        if kind is not None and name in recorded:
             why = (
                 f"a voltage drives {name} ({kind.kind} in {file}): its torque is made from {kind.takes}, and its scale is open: a "
                 "joint alone is weighed with motions of known loads (`calibrate --reference BAG=KG ..`, three or more)"

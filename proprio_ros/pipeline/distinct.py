@@ -26,7 +26,8 @@ class Distinct:
     def __init__(self, paths: Sequence[str | Path]) -> None:
         places: dict[Path, str | Path] = {}
         for path in paths:
-            if problem := path_problem(path):
+            problem = path_problem(path)
+            if problem:
                 raise ConfigurationError(f"{problem}", path)
             place = real_path(path)
             if place in places:

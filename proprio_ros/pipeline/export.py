@@ -62,7 +62,8 @@ def learnt_urdf(robot: Robot) -> LearntUrdf:
     root = ElementTree.fromstring(path.read_bytes(), ElementTree.XMLParser(target=builder))
     bodies, bent = _bodies(robot)
     for element in root.findall("link"):
-        if (pseudo := bodies.get(str(element.get("name")))) is not None:
+        pseudo = bodies.get(str(element.get("name")))
+        if pseudo is not None:
             _state_inertia(element, pseudo)
     stated = _state_friction(root, _friction(robot))
     ElementTree.indent(root)

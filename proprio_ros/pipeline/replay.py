@@ -101,7 +101,8 @@ def read_for(
             runs.extend(distinct.checked(path, each.found))
             sources.extend([each.path] * len(each.found))
     _refuse_unsuited(request, runs, motions)
-    if (learnt := request.robot.calibration) is not None and learnt.made is not None and runs:
+    learnt = request.robot.calibration
+    if learnt is not None and learnt.made is not None and runs:
         request = replace(
             request,
             robot=aged_robot(request.robot, moment_of(runs, loaded)),
@@ -136,7 +137,8 @@ def _refuse_unsuited(
             f"{motions[0].name}: several joints were driven at once, or one under a controller; --probe {probe.name} wants one at "
             "a time, from rest with a constant current"
         )
-    if (swings := [run.name for run in runs if run.free]) and not isinstance(probe, TakesMotions):
+    swings = [run.name for run in runs if run.free]
+    if swings and not isinstance(probe, TakesMotions):
         raise RecordingError(
             f"{swings[0]}: a free swing; --probe {probe.name} wants a joint that a current drives"
         )
@@ -187,8 +189,10 @@ def identify(
     recorded = [recorded_run(robot, run) for run in read.runs]
     recorded += [recorded_run(robot, run, True) for run in read.baseline]
     notes = (*estimate.notes, *_guessed_frame(robot, request.options.settings))
-    if (fresh := request.robot.calibration) is not None and robot.calibration is not None:
-        if drifted := said(fresh, robot.drift, robot.calibration.made):
+    fresh = request.robot.calibration
+    if fresh is not None and robot.calibration is not None:
+        drifted = said(fresh, robot.drift, robot.calibration.made)
+        if drifted:
             notes += (drifted,)
     views = _held_views(request, robot, read.motions[0], estimate) if read.motions else ()
     return replace(

@@ -239,7 +239,8 @@ def _configured(
         if unit == "N.m":
             overrides = with_recorded_torque(name, overrides)
         robot = robot_named(name, overrides)
-    if (frame := settings.take("payload.frame", None)) is not None:
+    frame = settings.take("payload.frame", None)
+    if frame is not None:
         links = [link.name for link in robot.model.links]
         if frame not in links:
             raise ConfigurationError(

@@ -100,7 +100,8 @@ def open_data_set(folder: str | Path) -> DataSet:
     """Read what a data set says about itself, again only where that changed; refuses what is none, or of another version."""
     folder = Path(folder)
     info = folder / "meta" / "info.json"
-    if problem := path_problem(folder):
+    problem = path_problem(folder)
+    if problem:
         raise RecordingError(f"{one_line(str(folder), 100)}: {problem}")
     if not info.is_file():
         raise RecordingError("not a LeRobot data set: there is no meta/info.json in it", folder)

@@ -71,7 +71,8 @@ def _names(value: Any) -> dict[str, str]:
     if not isinstance(value, dict) or len(value) > 1000:
         raise FormError(f"expected names by names, got {shortly(value)}")
     names = {_NAME.read(key): _NAME.read(entry) for key, entry in value.items()}
-    if twice := [name for name, count in Counter(names.values()).items() if count > 1]:
+    twice = [name for name, count in Counter(names.values()).items() if count > 1]
+    if twice:
         raise FormError(f"{twice[0]} stands for two joints; each needs a name of its own")
     return names
 
@@ -252,7 +253,8 @@ def _located(name: str, folder: Path) -> Path:
             f"{_called(name)}: unknown; {hint}choose one of {', '.join(names)}, or give a .yaml file"
         )
     path = folder / name
-    if problem := path_problem(path) or ("" if path.is_file() else "there is no such file"):
+    problem = path_problem(path) or ("" if path.is_file() else "there is no such file")
+    if problem:
         raise ConfigurationError(f"{_called(name)}: {problem}")
     return path
 

@@ -119,7 +119,8 @@ def motors_notes(
     if robot.calibration is None or not robot.calibration.motors:
         return ()
     motors = source.motors(state_topic)
-    if differences := other_arm(robot.calibration.motors, motors):
+    differences = other_arm(robot.calibration.motors, motors)
+    if differences:
         raise RecordingError(
             f"another arm than that of {robot.source.name}, or its motors were set anew: {differences}: calibrate "
             "this arm, or name its own calibration",

@@ -101,7 +101,8 @@ def _held(
         )
     )
     still = [name for name in recording.joints.names if name not in moved]
-    if held := tuple(name for name in still if largest.get(name, 0.0) > ZERO_CURRENT_A):
+    held = tuple(name for name in still if largest.get(name, 0.0) > ZERO_CURRENT_A)
+    if held:
         whose = "its motor gave held it" if len(held) == 1 else "their motors gave held them"
         yield Finding("held", f"{some(held)} stood still: what {whose} and drove nothing", held)
 
@@ -246,7 +247,8 @@ def _velocity(
         if seen is not None:
             lags[name], ratios[name] = seen
     period_s = float(np.median(np.diff(times_s)))
-    if late := {name: 1e3 * lag for name, lag in lags.items() if lag > max(LAG_S, 1.2 * period_s)}:
+    late = {name: 1e3 * lag for name, lag in lags.items() if lag > max(LAG_S, 1.2 * period_s)}
+    if late:
         sentence = (
             f"the velocity of {some(late)} lags its position by {_span(late, '.0f')} ms: a filter of the driver or the servo; "
             "positions alone are used"

@@ -166,7 +166,8 @@ def _headline(estimate: CalibrationEstimate) -> list[str]:
     parts = titled(f"calibration of {estimate.robot}, {used}", estimate.verdict.value, verdict)
     if estimate.weighable is not None:
         parts.append(f'<p class="value beside">{escape(estimate.weighable.sentence())}</p>')
-    if (fit := estimate.fit) is not None:
+    fit = estimate.fit
+    if fit is not None:
         parts.append(
             f"<p class=interval>{shown(fit.unit, fit.rms)} rms of the residuals over all runs; "
             f"{shown(fit.unit, fit.expected_rms)} expected of encoder and stamps as they were learnt</p>"

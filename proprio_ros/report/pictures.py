@@ -305,7 +305,8 @@ def budget_figure(estimate: Estimate) -> str:
     budget = [(source, std) for source, std in estimate.budget if std > 1e-3 * most]
     first = SHOWN_SOURCES + (len(budget) == SHOWN_SOURCES + 1)  # one alone is shown by its name
     sources = [(source_label(source), std) for source, std in budget[:first]]
-    if rest := budget[first:]:
+    rest = budget[first:]
+    if rest:
         variance = sum(std**2 for _, std in rest)
         sources.append((f"{len(rest)} others", float(np.sqrt(variance))))
     whole = sum(std**2 for _, std in sources) or 1.0

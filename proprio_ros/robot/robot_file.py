@@ -245,7 +245,8 @@ def _urdf_source(text: str, source: Path) -> str:
     if text.startswith(PACKAGE):
         return text
     beside = source.parent / text
-    if problem := path_problem(beside):
+    problem = path_problem(beside)
+    if problem:
         raise RobotError(f"{source.name}: urdf: {one_line(text, 60)} {problem}")
     beside = real_path(beside)
     if beside.is_file() or (beside.is_dir() and is_bag(beside)):
@@ -442,7 +443,8 @@ def _check_model(
     for name in given["held"]:
         model.joint(name)
     links = [link.name for link in model.links]
-    if (frame := given["payload_frame"]) not in links:
+    frame = given["payload_frame"]
+    if frame not in links:
         raise FormError(
             f"payload_frame: {model.name} has no link {frame!r}; links: {', '.join(links)}"
         )

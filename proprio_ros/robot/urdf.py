@@ -105,7 +105,8 @@ class UrdfReader:
         Raises `RobotError`: The document describes no physical tree of links.
         """
         for tag in ("link", "joint"):
-            if (count := len(self._robot.findall(tag))) > MOST_LINKS:
+            count = len(self._robot.findall(tag))
+            if count > MOST_LINKS:
                 self._fail(
                     f"has {count} {tag}s, and {MOST_LINKS} are the most that can be read: leave out what never moves"
                 )
@@ -390,7 +391,8 @@ class UrdfReader:
         while waiting:
             ordered.append(waiting.pop())
             waiting += children[ordered[-1].child]
-        if loop := [name for name, joint in joints.items() if joint not in ordered]:
+        loop = [name for name, joint in joints.items() if joint not in ordered]
+        if loop:
             self._fail(
                 f"joints {', '.join(loop)} form a loop apart from the tree; let one of them start at a link of it"
             )

@@ -192,7 +192,8 @@ class PositionDriver(EffortDriver):
 
     def __init__(self, robot: Robot, truth: Truth, **options: Any) -> None:
         laws = {name: drive.driven_by for name, drive in robot.drive_trains.items()}
-        if other := [name for name, law in laws.items() if not isinstance(law, PositionServo)]:
+        other = [name for name, law in laws.items() if not isinstance(law, PositionServo)]
+        if other:
             raise ConfigurationError(
                 f"{robot.name}: {', '.join(other)} are no position servos (driven_by); choose interface:=effort_controller"
             )

@@ -266,7 +266,8 @@ def readable(
 def check_drift(path: Path) -> None:
     """Raises: ConfigurationError: a file is there that no batch wrote."""
     with suppress(FileNotFoundError), open(path, encoding="utf-8", errors="replace") as stream:
-        if (first := stream.readline()) and first.strip() != ",".join(COLUMNS):
+        first = stream.readline()
+        if first and first.strip() != ",".join(COLUMNS):
             raise ConfigurationError(
                 f"--out: {path} is no table of proprio: move it away, or name another folder"
             )

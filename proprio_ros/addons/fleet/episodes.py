@@ -51,7 +51,8 @@ def episodes_of(sources: Sequence[str | Path]) -> list[Episode]:
 
 
 def _places(source: str) -> list[Path]:
-    if problem := path_problem(source):
+    problem = path_problem(source)
+    if problem:
         raise ConfigurationError(f"{one_line(source, 100)}: {problem}")
     if os.path.exists(source):
         return [real_path(source)]

@@ -51,7 +51,8 @@ def asked(options: Options | None, check: bool = False) -> str:
     words = []
     flags = ("robot", "driver", "state_topic", "command_topic", "effort_unit")
     for key in flags if check else ("calibration", *flags):
-        if (value := getattr(options, key)) is not None:
+        value = getattr(options, key)
+        if value is not None:
             words += [f"--{key.replace('_', '-')}", str(value)]
     if not check and options.probe != "payload":
         words += ["--probe", options.probe]

@@ -78,7 +78,8 @@ def write_batch_page(
         *_masses(whole),
         *_refused(whole, reports, options),
     ]
-    if grasps := Counter(row["reason_codes"][0] for row in rows if row["kind"] == GRASP):
+    grasps = Counter(row["reason_codes"][0] for row in rows if row["kind"] == GRASP)
+    if grasps:
         counts = [(code, float(count), str(count)) for code, count in grasps.most_common()]
         parts += ["<h2>Grasps</h2>", bars(counts)]
     parts += drift_parts(drift)

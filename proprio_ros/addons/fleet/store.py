@@ -172,7 +172,8 @@ def _whole_episodes(file: Path) -> set[tuple[str, str]] | None:
         )
     except (OSError, arrow().ArrowException):
         with suppress(OSError), open(file, "rb") as stream:
-            if (head := stream.read(4)) and not b"PAR1".startswith(head):
+            head = stream.read(4)
+            if head and not b"PAR1".startswith(head):
                 raise _foreign(file) from None
         return None
     if len(table.column_names) < 4:

@@ -53,7 +53,8 @@ def paper(options: argparse.Namespace, given: Sequence[str]) -> int:
         value = getattr(options, name)
         if value is not None and not least <= value <= most:
             raise ConfigurationError(f"--{name} {value}: choose {least} to {most}")
-    if problem := path_problem(options.out):
+    problem = path_problem(options.out)
+    if problem:
         raise ConfigurationError(f"--out {one_line(options.out, 60)}: {problem}")
     from proprio_ros.addons.paper.experiments import published
     from proprio_ros.addons.paper.page import write_paper_page

@@ -302,7 +302,8 @@ def _published(recording: Rows) -> list[str]:
 def _sphere(found: Sequence[Rows]) -> list[str]:
     lines = []
     for way, (calibrated, state) in product(labels(found, "way"), STATES):
-        if rows := flat(found, way=way, calibrated=calibrated):
+        rows = flat(found, way=way, calibrated=calibrated)
+        if rows:
             lines.append([way, state, *identified(rows, 1e3)])
     truth = 1e3 * flat(found)[0]["truth"]
     return [
@@ -400,7 +401,8 @@ def _cubes(found: Sequence[Rows]) -> list[str]:
     for name, (quantity, words, scale), (calibrated, state), way in product(
         CUBES, quantities, STATES, ways
     ):
-        if rows := flat(found, object=name, quantity=quantity, calibrated=calibrated, way=way):
+        rows = flat(found, object=name, quantity=quantity, calibrated=calibrated, way=way)
+        if rows:
             truth = f"{scale * rows[0]['truth']:.3g}"
             lines.append(
                 [

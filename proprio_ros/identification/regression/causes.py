@@ -231,7 +231,8 @@ def _tried(robot: Robot, motion: Motion, model: _Model) -> Iterator[_Tried]:
                 angle = motion.position / np.where(which, mistake.angle, 1.0)
                 with suppress(RecordingError):  # then hardly anything moved
                     models[mistake.angle] = _Model.of(robot, replace(motion, position=angle))
-            if (other := models.get(mistake.angle)) is None:
+            other = models.get(mistake.angle)
+            if other is None:
                 continue
             torque = other.rows.torque / np.where(which, mistake.torque, 1.0)[other.rows.joint]
             yield other.left(torque)[0], mistake.words
@@ -252,7 +253,8 @@ def _by_gravity(robot: Robot, motion: Motion, model: _Model) -> Iterator[_Tried]
     found = robot.gravity
     for _ in range(GRAVITY_ROUNDS):  # what a payload takes goes with gravity, too
         gravity = model.left(model.rows.torque - still.by_urdf, np.column_stack(along))[1]
-        if (size := float(np.linalg.norm(gravity))) == 0.0:
+        size = float(np.linalg.norm(gravity))
+        if size == 0.0:
             return
         found = GRAVITY_M_S2 / size * gravity
         model = _Model.of(replace(robot, gravity=found), motion)

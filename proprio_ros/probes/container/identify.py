@@ -126,7 +126,8 @@ def find_sphere(
         search = replace(search, facts=replace(facts, mass=empty))
 
     nominal, opened = search.fits()
-    if cut := lost_at(opened):
+    cut = lost_at(opened)
+    if cut:
         for row, used in cut.items():
             whole = search.runs[row]
             found.reasons.append(

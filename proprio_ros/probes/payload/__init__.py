@@ -110,7 +110,8 @@ class Payload(
 
         if facts.paper is None:
             return weigh(robot, recorded.runs, facts.payload, facts.weighing, recorded.baseline)
-        if swings := [run.name for run in recorded.runs if run.free]:
+        swings = [run.name for run in recorded.runs if run.free]
+        if swings:
             raise RecordingError(
                 f"{swings[0]} is a free swing; the paper's method wants a joint that a current drives"
             )

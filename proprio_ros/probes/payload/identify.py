@@ -346,7 +346,8 @@ def _followed(
         runs = [prepare_run(robot, run.run, run.load, facts) for run in runs]
         opened = solve_load(robot, runs, facts, options, Role.FREE, start=opened)
     misfit = ""
-    if (share := swings.missed_share(posterior)) > swings.MISSED_SHARE:
+    share = swings.missed_share(posterior)
+    if share > swings.MISSED_SHARE:
         misfit = swings.said_missed(share)
     elif known and error > swings.MUCH_WORSE * known:
         misfit = (
@@ -471,7 +472,8 @@ class Weighed(Conclusion):
         fit = self.fit
         mass = self.assessed.value
         unknown = self.fit.problem.unknowns[self.assessed.row]
-        if sticks := gates.stood_still(self.robot, fit.problem, fit.values, self.still, mass):
+        sticks = gates.stood_still(self.robot, fit.problem, fit.values, self.still, mass)
+        if sticks:
             yield rejected("stood_still", "a joint stood still that should have moved", sticks)
         if mass <= unknown.lower * (1.0 - 1e-6) or mass >= unknown.upper * (1.0 - 1e-6):
             bound = "the mass ended on a bound of the search"
@@ -482,9 +484,11 @@ class Weighed(Conclusion):
             )
         if not fit.explains and not self.swings:
             posterior = Posterior(fit.problem, fit.values)
-            if jump := driven_jump(posterior, fit.chi2, gates.chi2_limit(fit.dof)):
+            jump = driven_jump(posterior, fit.chi2, gates.chi2_limit(fit.dof))
+            if jump:
                 yield self.misfit_of(jumped(jump))
-            if moving := self._moving_starts():
+            moving = self._moving_starts()
+            if moving:
                 yield self.misfit_of(*moving)
         yield from self.misfit()
         calibrate = (
