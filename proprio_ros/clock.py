@@ -56,7 +56,16 @@ class Clock:
         name: str,
         args: tuple[Any, ...] = (),
     ) -> Thread:
-        """A thread that does not keep the process from ending."""
+        """A thread that does not keep the process from ending.
+
+        Args:
+            target: What it runs.
+            name: Of the thread.
+            args: What the target is called with.
+
+        Returns:
+            The thread, not started yet.
+        """
         return threading.Thread(target=target, name=name, args=args, daemon=True)
 
     def come_after_others(self) -> None:
@@ -118,7 +127,16 @@ def thread(
     name: str,
     args: tuple[Any, ...] = (),
 ) -> Thread:
-    """A thread that waits on this clock, and does not keep the process from ending."""
+    """A thread that waits on this clock, and does not keep the process from ending.
+
+    Args:
+        target: What it runs.
+        name: Of the thread.
+        args: What the target is called with.
+
+    Returns:
+        The thread, not started yet.
+    """
     return _clock.thread(target, name, args)
 
 

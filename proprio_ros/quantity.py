@@ -89,7 +89,17 @@ def written(value: float, spec: str) -> str:
 
 
 def shown(unit: str, *values: float, spec: str = "", between: str = " .. ") -> str:
-    """Values in an SI unit as a reader wants them, such as ``50.00 g`` or ``48.10 .. 51.90 g``; ``spec`` is the format of each."""
+    """Values in an SI unit as a reader wants them.
+
+    Args:
+        unit: The SI unit.
+        *values: In that unit.
+        spec: Format of each number; empty: that of the reader's unit.
+        between: What stands between two numbers.
+
+    Returns:
+        Numbers and the reader's unit, such as ``50.00 g`` or ``48.10 .. 51.90 g``.
+    """
     reader = shown_as(unit)
     numbers = [written(reader.per_si * value, spec or reader.digits) for value in values]
     return f"{between.join(numbers)} {reader.name}".rstrip()

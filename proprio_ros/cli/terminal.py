@@ -37,7 +37,16 @@ EXIT_TERMINATED = 143
 
 
 def json_error(given: Sequence[str], sentence: str, exit_code: int) -> int:
-    """With ``--json``, stdout always gets one object; returns the exit code."""
+    """With ``--json``, stdout always gets one object, an error's too.
+
+    Args:
+        given: The command line's arguments.
+        sentence: What is wrong.
+        exit_code: Of the command.
+
+    Returns:
+        The exit code.
+    """
     if "--json" in given:
         show(True, schema.error(sentence, exit_code))
     return exit_code
@@ -51,7 +60,11 @@ def show(
 ) -> None:
     """A result: the one object of ``--json``, or its lines; what else moves a cursor is escaped (names in notes are others').
 
-    A ``table`` of several answers, titles first, follows on a terminal.
+    Args:
+        as_json: Whether ``--json`` was given.
+        content: The object; only this is printed then.
+        text: The lines.
+        table: Of several answers, titles first; it follows the lines on a terminal.
     """
     if as_json:
         print(json.dumps(content, indent=1))

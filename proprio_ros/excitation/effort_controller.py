@@ -119,6 +119,16 @@ class EffortController(Controller):
     def observe(
         self, time_s: float, position: Mapping[str, float], heard_s: float | None = None
     ) -> Mapping[str, Move]:
+        """Take a reading, of which the hold hears, too.
+
+        Args:
+            time_s: When the reading was taken, on a clock of its own [s].
+            position: By joint; what is no number is passed over [rad or m].
+            heard_s: When it came; None: when it was taken [s].
+
+        Returns:
+            How far joints that were read have moved since their last reading.
+        """
         self._hold.observe(time_s, position, heard_s)
         return super().observe(time_s, position, heard_s)
 

@@ -96,6 +96,16 @@ class GoalController(Controller):
     def observe(
         self, time_s: float, position: Mapping[str, float], heard_s: float | None = None
     ) -> Mapping[str, Move]:
+        """Take a reading; a goal moves along with a joint whose reading has jumped.
+
+        Args:
+            time_s: When the reading was taken, on a clock of its own [s].
+            position: By joint; what is no number is passed over [rad or m].
+            heard_s: When it came; None: when it was taken [s].
+
+        Returns:
+            How far joints that were read have moved since their last reading.
+        """
         moves = super().observe(time_s, position, heard_s)
         for name, value in position.items():
             if name in self._pose and math.isfinite(value):

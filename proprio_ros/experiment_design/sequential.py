@@ -134,7 +134,16 @@ class _Excursion:
 
     @classmethod
     def of(cls, start: np.ndarray, q: np.ndarray, v: np.ndarray) -> _Excursion:
-        """From starts (C,) [rad], positions and velocities (C, T); what is no number goes far."""
+        """From simulated pushes; what is no number goes far.
+
+        Args:
+            start: Where the joint begins, shape (C,) [rad].
+            q: Positions, shape (C, T) [rad].
+            v: Velocities, shape (C, T) [rad/s].
+
+        Returns:
+            What each push reaches until it is as far from its start as the guards let it go.
+        """
         q = np.where(np.isfinite(q), q, 1e3)
         v = np.where(np.isfinite(v), v, 1e3)
         off = q - start[:, None]

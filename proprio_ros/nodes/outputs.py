@@ -162,6 +162,16 @@ class DriverOutput(Output):
         """The driver holds the arm already."""
 
     def hear(self, message: JointState, now_s: float, whole: bool) -> str:
+        """Nothing: the driver holds the arm by itself.
+
+        Args:
+            message: Not used.
+            now_s: Not used [s].
+            whole: Not used.
+
+        Returns:
+            An empty string.
+        """
         return ""
 
     def unheard(self) -> None:
@@ -245,6 +255,16 @@ class ControllerOutput(Output):
             self.controller.take(command)
 
     def hear(self, message: JointState, now_s: float, whole: bool) -> str:
+        """The controller takes the reading, and is answered while it holds the arm.
+
+        Args:
+            message: The joint state.
+            now_s: When it came, on the node's clock [s].
+            whole: Whether all joints of the arm were seen of late.
+
+        Returns:
+            Why the arm is not held any more, where it was until now; else an empty string.
+        """
         stamp_ns = messages.time_ns(message.header.stamp)
         now_ns = self._node.get_clock().now().nanoseconds
         self._clock.hear(stamp_ns or now_ns, clock.now_ns())

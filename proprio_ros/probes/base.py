@@ -158,7 +158,16 @@ class Probe(ABC, Generic[Facts]):
     ) -> Facts:
         """What the user says about the object and the search, over the defaults of the probe's file; read once per job.
 
-        Raises `ConfigurationError`: A value of the wrong form or unit.
+        Args:
+            settings: The user's.
+            solver: One of `HasSolvers.solvers`.
+            profile: One of `HasSolvers.profiles`.
+
+        Returns:
+            What is stated.
+
+        Raises:
+            ConfigurationError: A value of the wrong form or unit.
         """
 
     def compile(self, robot: Robot, facts: Facts) -> None:
@@ -171,7 +180,16 @@ class Probe(ABC, Generic[Facts]):
     def identify(self, robot: Robot, recorded: Recorded, facts: Facts) -> Estimate:
         """Identify the object from runs.
 
-        Raises `ConfigurationError`, `RecordingError`: The runs cannot be related to the robot or the object at all.
+        Args:
+            robot: As its file or its calibration states it.
+            recorded: With runs.
+            facts: What is stated of the object.
+
+        Returns:
+            The answer; its first value is that of `answer`.
+
+        Raises:
+            ConfigurationError, RecordingError: The runs cannot be related to the robot or the object at all.
         """
 
     def sections(self, estimate: Estimate) -> list[str]:
@@ -184,7 +202,16 @@ class TakesMotions(Probe[Facts]):
 
     @abstractmethod
     def identify_motions(self, robot: Robot, recorded: Recorded, facts: Facts) -> Estimate:
-        """As `identify`, from motions; a run that swings freely goes to `identify`."""
+        """As `identify`, from motions; a run that swings freely goes to `identify`.
+
+        Args:
+            robot: As its file or its calibration states it.
+            recorded: With motions.
+            facts: What is stated of the object.
+
+        Returns:
+            The answer; its first value is that of `answer`.
+        """
 
 
 class HasSolvers(Probe[Facts]):
@@ -234,9 +261,16 @@ class Guards(Probe[Facts]):
     def check(
         self, robot: Robot, facts: Facts, sequence: ExcitationSequence, limits: Mapping[str, float]
     ) -> None:
-        """Whether a sequence may be made with this object; ``limits`` by name.
+        """Whether a sequence may be made with this object.
 
-        Raises `ConfigurationError`: Its runs say nothing about the object, or could break it.
+        Args:
+            robot: As its file or its calibration states it.
+            facts: What is stated of the object.
+            sequence: Whose runs are to be made.
+            limits: The numbers that guard the object, by the names of `limits`.
+
+        Raises:
+            ConfigurationError: Its runs say nothing about the object, or could break it.
         """
 
 
@@ -251,9 +285,19 @@ class ChoosesNext(Probe[Facts]):
         sequence: ExcitationSequence,
         baseline: Sequence[Run] = (),
     ) -> Chooser:
-        """Who chooses the pushes of a sequence that has `until`, with what is in the hand; the baseline is without it.
+        """Who chooses the pushes of a sequence that has `until`, with what is in the hand.
 
-        Raises `ConfigurationError`: Nobody can, for this sequence.
+        Args:
+            robot: As its file or its calibration states it.
+            facts: What is stated of the object.
+            sequence: With an `until`.
+            baseline: Runs without the object.
+
+        Returns:
+            Who chooses.
+
+        Raises:
+            ConfigurationError: Nobody can, for this sequence.
         """
 
 
@@ -267,7 +311,16 @@ class EstimatesLive(Probe[Facts]):
         runs: Sequence[Run],
         facts: Facts,
     ) -> Estimate:
-        """An early answer from runs of which the last is still under way."""
+        """An early answer from runs of which the last is still under way.
+
+        Args:
+            robot: As its file or its calibration states it.
+            runs: So far.
+            facts: What is stated of the object.
+
+        Returns:
+            The answer; its first value is that of `answer`.
+        """
 
 
 class Carries(Probe[Facts]):
@@ -310,9 +363,18 @@ class Online(Carries[Facts]):
         facts: Facts,
         held: dict[str, float],
     ) -> StandingEstimator:
-        """An estimate that goes along with the arm's work; held: positions [rad or m] of joints without a calibration of motions.
+        """An estimate that goes along with the arm's work.
 
-        Raises `RobotError`: The calibration is of another arm.
+        Args:
+            robot: With a calibration of motions.
+            facts: What is stated of the object.
+            held: Positions of joints without a calibration of motions [rad or m].
+
+        Returns:
+            What estimates.
+
+        Raises:
+            RobotError: The calibration is of another arm.
         """
 
 
@@ -321,7 +383,16 @@ class Shown(Probe[Facts]):
 
     @abstractmethod
     def shapes(self, robot: Robot, facts: Facts, estimate: Estimate) -> Shapes | None:
-        """How it looks; None: nothing is determined that could be shown."""
+        """How it looks.
+
+        Args:
+            robot: As its file or its calibration states it.
+            facts: What is stated of the object.
+            estimate: The accepted answer.
+
+        Returns:
+            The bodies; None: nothing is determined that could be shown.
+        """
 
     def remark(self, estimate: Estimate) -> str:
         """What is said after the interval; begins with a comma."""
@@ -335,7 +406,21 @@ def chooser_of(
     sequence: ExcitationSequence,
     baseline: Sequence[Run] = (),
 ) -> Chooser:
-    """As `ChoosesNext.chooser`, for any probe. Raises `ConfigurationError`: Nobody can choose, for this probe or this sequence."""
+    """As `ChoosesNext.chooser`, for any probe.
+
+    Args:
+        probe: Whose object is in the hand.
+        robot: As its file or its calibration states it.
+        facts: What is stated of the object.
+        sequence: With an `until`.
+        baseline: Runs without the object.
+
+    Returns:
+        Who chooses.
+
+    Raises:
+        ConfigurationError: Nobody can choose, for this probe or this sequence.
+    """
     if not isinstance(probe, ChoosesNext):
         raise ConfigurationError(
             f"{sequence.name}: its pushes are to be chosen one by one (until), which the probe {probe.name} cannot; take "

@@ -387,6 +387,16 @@ class _Layout(NamedTuple):
             size: int,
             kind: str,
         ) -> NDArray[Any]:
+            """The same bytes of every message, as numbers.
+
+            Args:
+                at: Offset of the first byte.
+                size: How many bytes.
+                kind: NumPy's name of the numbers' type, such as ``<f8``.
+
+            Returns:
+                A copy, shape (messages, numbers).
+            """
             return table[:, at : at + size].copy().view(kind)
 
         stamps = None

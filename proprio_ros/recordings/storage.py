@@ -196,7 +196,16 @@ class AnyMcap(McapReader):
         start: int | None = None,
         stop: int | None = None,
     ) -> Generator[tuple[Connection, int, bytes], None, None]:
-        """As of rosbags; without an index in the order of the file, which need not be that of time."""
+        """As of rosbags; without an index in the order of the file, which need not be that of time.
+
+        Args:
+            connections: Whose messages are read.
+            start: Only messages at or after this time [ns]; None: from the first on.
+            stop: Only messages before this time [ns]; None: to the last.
+
+        Yields:
+            Connection, time [ns] and bytes of each message.
+        """
         if self.chunks:
             yield from super().messages(connections, start, stop)
             return

@@ -209,6 +209,18 @@ def convergence_figure(estimate: Estimate) -> str:
         color: str,
         listed: bool,
     ) -> Series:
+        """What one start came to over the iterations, in the unit that is shown.
+
+        Args:
+            path: Of the start [kg or Pa].
+            begin: Iteration at which it starts.
+            name: Of the curve.
+            color: What it stands for: ``agreeing``, ``apart`` or ``answer``.
+            listed: Whether the legend has it.
+
+        Returns:
+            The curve.
+        """
         values = factor * np.maximum(path.values, 1e-6)
         return Series(
             name,

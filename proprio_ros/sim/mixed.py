@@ -55,7 +55,17 @@ class MixedSimulator(Generic[_Special]):
         dp: np.ndarray,
         counts: np.ndarray | None = None,
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """As ``JointSimulator.jacobian``."""
+        """As ``JointSimulator.jacobian``, each world by the simulator of its run.
+
+        Args:
+            world_run: Run of each world, shape (W,).
+            p: Parameters of each world in the order of the object's simulator, shape (W, P).
+            dp: D tangent directions of each world in parameter space, shape (W, P, D).
+            counts: Only the first ``counts[r]`` samples of run r are computed, shape (R,); default all.
+
+        Returns:
+            q (W, T), v (W, T), dq (W, T, D).
+        """
         if self.plain is None:
             return self.special.jacobian(world_run, p, dp, counts)
         counts = self.sample_counts if counts is None else counts

@@ -88,7 +88,17 @@ class Contact:
         friction: float,
         traction: float = 300.0,
     ) -> "Contact":
-        """From the angular frequency of a sphere on its contact [rad/s] and the ratio of its damping."""
+        """From the oscillation of a sphere on its contact.
+
+        Args:
+            frequency: Angular frequency [rad/s].
+            damping_ratio: Of that oscillation.
+            friction: Its coefficient.
+            traction: Per kilogram of the sphere [1/s].
+
+        Returns:
+            The law's constants per kilogram of the sphere.
+        """
         return cls(
             frequency**2,
             2.0 * damping_ratio * frequency,
@@ -241,6 +251,17 @@ class SphereSimulator(JointSimulator):
         dp: np.ndarray,
         counts: np.ndarray | None,
     ) -> tuple[np.ndarray, ...]:
+        """As ``JointSimulator.launch``, with the sphere's path; more directions than one launch takes go in several.
+
+        Args:
+            world_run: Run of each world, shape (W,).
+            p: Parameters, shape (W, P).
+            dp: Tangent directions, shape (W, P, D).
+            counts: Samples of each run that are computed, shape (R,); None is all.
+
+        Returns:
+            q (W, T), v (W, T), dq (W, T, D), and the sphere's x (W, T, 3) [m], dx (W, T, 3, D); D may be padded.
+        """
         most = self.tangent_sizes[-1]
         if dp.shape[2] <= most:
             self._last = super().launch(world_run, p, dp, counts)

@@ -152,6 +152,16 @@ def fitted(
         starts: np.ndarray,
         windows: Callable[[float], np.ndarray] | None,
     ) -> FitResult:
+        """Search from some starts, roughly.
+
+        Args:
+            problem: What is fitted.
+            starts: Values of all unknowns, in their own units, shape (S, P).
+            windows: How many samples of each run lie in a fraction of its time; None fits everything at once.
+
+        Returns:
+            Where the starts ended.
+        """
         internal = problem.coordinates.internal(starts[:, problem.free])
         return FitResult.of(
             problem, solvers.levenberg_marquardt(problem, internal, windows, tolerance=1e-2)

@@ -59,6 +59,19 @@ class Contents(base.HasBaseline["ContentsFacts"], base.Prepares["ContentsFacts"]
     def facts(
         self, settings: Settings, solver: str = "lm", profile: str = "default"
     ) -> ContentsFacts:
+        """What is stated of the container.
+
+        Args:
+            settings: The user's.
+            solver: Not used: there is one.
+            profile: Not used: there is one.
+
+        Returns:
+            Shape and mass of the container, over the defaults of the probe's file.
+
+        Raises:
+            ConfigurationError: A value of the wrong form or unit.
+        """
         from proprio_ros.addons.contents.facts import contents_facts
 
         return contents_facts(settings, probe_file(self.name, ("contents",))["contents"])
@@ -78,6 +91,20 @@ class Contents(base.HasBaseline["ContentsFacts"], base.Prepares["ContentsFacts"]
         compile_kernels(rises=robot.friction_rises)
 
     def identify(self, robot: Robot, recorded: base.Recorded, facts: ContentsFacts) -> Estimate:
+        """Find what is in the container.
+
+        Args:
+            robot: As its file or its calibration states it.
+            recorded: Runs, and those of the empty container.
+            facts: Of the container.
+
+        Returns:
+            The mass of the contents first.
+
+        Raises:
+            ConfigurationError: Neither a baseline nor the container's mass.
+            RecordingError: A run cannot be related to the robot, or does not move the container across its axis.
+        """
         from proprio_ros.addons.contents.identify import find_contents
 
         return find_contents(robot, recorded.runs, facts, recorded.baseline)

@@ -85,6 +85,13 @@ class Filled(HandObject):
         )
 
     def build(self, mujoco: Any, spec: Any, hand: Any) -> None:
+        """Add shell, resting and moving part of the liquid to the model of an arm that is not compiled yet.
+
+        Args:
+            mujoco: MuJoCo's module.
+            spec: Not used.
+            hand: The model's body of the payload frame.
+        """
         import numpy as np
 
         from proprio_ros.addons.contents.models import Slosh

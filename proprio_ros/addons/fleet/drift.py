@@ -169,8 +169,23 @@ def drift(
 ) -> Drift:
     """How an arm changes over days and weeks, by recordings of its motion with an empty hand.
 
-    ``bags`` may be data sets, folders and globs, too. What cannot be read is left out, and an error where that is all there is. All
-    else is as for `weigh`, errors included.
+    What cannot be read is left out, and an error where that is all there is.
+
+    Args:
+        bags: Bag folders or files, text recordings, data sets, folders with any of them, and globs; one may stand alone.
+        robot: Name, or robot file.
+        driver: Profile of the driver that published, a name of ``config/drivers`` or a file; the next three win over it.
+        state_topic: Of the joint states, where a bag has several.
+        command_topic: Of the input, where it has an unusual name.
+        effort_unit: What effort of the joint states means: ``N.m``, ``A``, ``mA`` or ``raw``.
+        settings: As for ``--set``, by dotted key.
+        progress: Hears how far it is, a sentence at a time.
+
+    Returns:
+        What each period says about the arm.
+
+    Raises:
+        ConfigurationError, RobotError, RecordingError: With one line that says what is wrong and what to do.
     """
     given = read_arguments(locals())
     options = options_of({**given, "facts": {}})
@@ -217,8 +232,17 @@ def drift_of(
 ) -> Drift:
     """What each period says about the arm, by episodes with an empty hand; one without a usable motion is left out.
 
-    ``stamps`` say when each was recorded, by its path [ns]; where any is known, those without are left out. The span of the options
-    is what of each episode is empty.
+    Args:
+        episodes: With an empty hand.
+        stamps: When each was recorded, by its path [ns]; where any is known, episodes without are left out.
+        options: How to read them; their span is what of each episode is empty.
+        tell: Hears over how many periods, where there are several.
+
+    Returns:
+        The periods in their order.
+
+    Raises:
+        ConfigurationError, RobotError: An option is wrong.
     """
     request = request_of(replace(options, calibration=None))
     episodes = [episode for episode in episodes if stamps.get(episode.path)] or episodes

@@ -298,10 +298,18 @@ def self_calibrated(
 ) -> Options:
     """The options with a calibration by the episodes in which the hand is known to be empty; made once, then kept in the folder.
 
-    The span of the options is what of each episode is empty; what comes back is for all of each. ``option`` of the command line is
-    named in what is said.
+    Args:
+        empty: Those episodes.
+        options: How to read them; their span is what of each episode is empty.
+        option: Of the command line, for messages.
+        out: Folder of the batch, which keeps the calibration.
+        tell: Hears with how many episodes it is made.
 
-    Raises `ConfigurationError`: They do not calibrate the arm.
+    Returns:
+        The options with the calibration's file, for all of each episode.
+
+    Raises:
+        ConfigurationError: The episodes do not calibrate the arm, or the folder has a calibration that no job made.
     """
     path = real_path(out) / "calibration.yaml"
     if path.exists() and not path.with_name("job.json").exists():

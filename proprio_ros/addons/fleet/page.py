@@ -60,11 +60,18 @@ def write_batch_page(
     drift: Drift,
     options: Options | None = None,
 ) -> None:
-    """Write the page of rows with `COLUMNS`, which are put in order and numbered, by the options that were asked of each.
+    """Write the page of a batch.
 
-    ``command`` gives all of it again; ``reports`` are files beside the page, by what `named` calls the row that each is of.
+    Args:
+        rows: With `COLUMNS`; they are put in order and numbered in place.
+        path: Of the page.
+        command: The command line that gives all of it again.
+        reports: Files beside the page, by what `named` calls the row that each is of.
+        drift: What each period says about the arm; it may be empty.
+        options: That were asked of each row.
 
-    Raises `ConfigurationError`: The file cannot be written.
+    Raises:
+        ConfigurationError: The file cannot be written.
     """
     rows.sort(key=lambda row: (row["source"], *_order(row), row["segment"]))
     whole = [row for row in rows if row["kind"] != GRASP]

@@ -384,6 +384,16 @@ def effects(seed: int) -> Rows:
         integrator: str = "rk4",
         step_s: float = 1.0 / 240.0,
     ) -> float:
+        """The mass that the lift shows with a changed model.
+
+        Args:
+            changed: The robot as the model has it.
+            integrator: ``rk4`` or ``semi_implicit``.
+            step_s: Of the integration [s].
+
+        Returns:
+            The mass [kg].
+        """
         options = SearchOptions(integrator=integrator, step_s=step_s)
         fit = solve_load(
             changed, [prepare_run(changed, run, None, facts)], facts, options, Role.FROZEN

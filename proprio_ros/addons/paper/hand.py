@@ -61,6 +61,16 @@ class HungPayload(Payload):
     damping: float = 0.0  # of each joint [N m s/rad, or N s/m]
 
     def build(self, mujoco: Any, spec: Any, hand: Any) -> Any:
+        """Add the payload and its joints to the model of an arm that is not compiled yet.
+
+        Args:
+            mujoco: MuJoCo's module.
+            spec: The model.
+            hand: The model's body of the payload frame.
+
+        Returns:
+            The payload's own body.
+        """
         body = super().build(mujoco, spec, hand)
         for along in self.axes:
             kind = mujoco.mjtJoint.mjJNT_SLIDE if self.slides else mujoco.mjtJoint.mjJNT_HINGE

@@ -571,7 +571,17 @@ class _Budget:
         calibration: JointCalibration,
         found: _Jackknife,
     ) -> _Budget:
-        """The budget of a mass that was found in some motions."""
+        """The budget of a mass that was found in some motions.
+
+        Args:
+            weighing: How the mass was looked for.
+            tables: Of each motion, by the length of the windows.
+            calibration: Of the joint.
+            found: The mass and its variance among stretches [kg, kg^2], shape ().
+
+        Returns:
+            Its variance by cause, and the width of its interval.
+        """
         mass = float(found.values)
         variances = {
             STRETCHES: float(found.variance),
