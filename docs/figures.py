@@ -18,8 +18,6 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import code_map
-
 RESULTS = Path(__file__).resolve().parent / "results"
 BLOCK = re.compile(r"(<!-- results: (.+?) -->\n).*?(<!-- end of results -->)", re.DOTALL)
 Row = tuple[str, str, str]
@@ -471,6 +469,8 @@ def speed_in_short() -> str:
 
 def libraries() -> str:
     """The design page's table of heavy libraries."""
+    import code_map  # benchmarks stand on this file, without docs/ on their path
+
     return table_of(("library", "for", "imported in"), code_map.libraries())
 
 

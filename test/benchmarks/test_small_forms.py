@@ -5,6 +5,8 @@ from __future__ import annotations
 import importlib
 import json
 import shutil
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -228,3 +230,16 @@ def test_episodes_are_made_and_judged(
     )
     batch.compare(folder, folder / "out", replayed=1)
     assert "1 of them by `replay` one by one: 0 differ in any bit" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("name", ["real", "answers"])
+def test_a_benchmark_starts_by_itself(name: str) -> None:
+    """Without what pytest puts on the path."""
+    script = REPOSITORY / "test" / "benchmarks" / f"{name}.py"
+    done = subprocess.run(
+        [sys.executable, script, "--help"],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
