@@ -258,6 +258,14 @@ def test_the_design_page_has_the_classes_of_probes() -> None:
     assert set(re.findall(r"`([A-Z]\w+)`", table)) == kinds - {"Probe"}
 
 
+def test_where_it_is_decided_is_there() -> None:
+    places = re.findall(r"`([a-z_/]+\.py):(\w+)`", text_of(REPOSITORY / "CONTRIBUTING.md"))
+    assert len(places) > 10
+    for file, name in places:
+        code = text_of(REPOSITORY / "proprio_ros" / file)
+        assert re.search(rf"^ *(def|class) {name}\b", code, re.MULTILINE), f"{file} has no {name}"
+
+
 def test_every_topic_and_service_is_explained() -> None:
     row = re.compile(r"^\| `(/\S+)` \| `\S+` \| (.*?) \|", re.MULTILINE)
     about = dict(row.findall(page("ros_interface")))

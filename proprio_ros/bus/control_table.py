@@ -186,6 +186,7 @@ class ServoModel:
         return counts * self.velocity_unit_rad_s
 
     def current_A(self, counts: int) -> float:
+        """What a register of current says, goal or present."""
         return counts * self.current_unit_A
 
 

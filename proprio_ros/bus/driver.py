@@ -1,7 +1,8 @@
 """The loop that drives an arm: read, check, command; every cycle, whatever happens. No ROS.
 
 Every joint is either *held* (its servo keeps a position) or *driven* (a constant current). A joint is driven only while fresh
-commands come; without one, or when a limit or the table is reached, it is held where it is. Goals are written anew in every
+commands come; without one (``command_timeout_s``), or when a limit or the table is reached, it is held where it is, or its current
+is zero where ``on_timeout`` says so. Goals are written anew in every
 cycle, since a sync write that is lost on the wire is lost without a word. When this process dies, the servos' own watchdog ends
 the current.
 

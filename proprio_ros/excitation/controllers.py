@@ -2,7 +2,7 @@
 
 Such a controller takes numbers without names for all its joints in a fixed order, ignores a list of another length, and keeps the
 last one for ever. So every command here is whole. `Controller` says what each of them must have; `EffortController` and
-`GoalController` are the two that there are. No clock, no ROS.
+`GoalController` are the two that there are; `nodes.outputs.controller_of` chooses by ``command_interface``. No clock, no ROS.
 """
 
 from __future__ import annotations

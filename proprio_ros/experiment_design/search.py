@@ -55,11 +55,9 @@ class Search:
         joints: Iterable[str],
         tries: Try,
     ) -> None:
-        self._robot, self._tries, self._rest = (
-            robot,
-            tries,
-            zero_pose(robot),
-        )
+        self._robot = robot
+        self._tries = tries
+        self._rest = zero_pose(robot)
         self._axes = {joint: self._axes_of(joint) for joint in joints}
         self._found: dict[tuple[str, str], list[_Best]] = {}
         self._seen: set[tuple[str, tuple[float, ...]]] = set()
@@ -157,7 +155,8 @@ class Search:
         if any(best.score <= score for best in near):
             return
         if near:  # a descent goes on from there
-            near[0].score, near[0].plan = score, plan
+            near[0].score = score
+            near[0].plan = plan
         else:
             kept.append(_Best(score, plan))
         kept[:] = sorted(

@@ -196,14 +196,17 @@ class Catalogue:
         starts: int = STARTS,
         suits: Callable[[PreparedRun, float], bool] | None = None,
     ) -> None:
-        self.robot, self.facts = robot, facts or PayloadFacts()
-        self._starts, self._suits = starts, suits
+        self.robot = robot
+        self.facts = facts or PayloadFacts()
+        self._starts = starts
+        self._suits = suits
         self.joints = tuple(joints or candidate_joints(robot))
         rest = bent_pose(robot)
         first = [self._still(joint, rest) for joint in self.joints]
         every = Problem(robot, first, self.facts, self._unknowns(first))
         self._shared = SharedUnknowns(every)
-        self.keys, self.at = self._shared.keys, self._shared.at
+        self.keys = self._shared.keys
+        self.at = self._shared.at
         mass = self.at["payload_mass"]
         self._shared.prior[mass, mass] += UNKNOWN_STD_KG**-2
         self._places = [place for joint in self.joints for place in self._places_of(joint)]

@@ -73,18 +73,17 @@ class Conclusion:
     called: ClassVar[Mapping[str, str]] = MappingProxyType({})
 
     def __post_init__(self) -> None:
-        self.robot, self.runs = (
-            self.opened.problem.robot,
-            self.opened.problem.runs,
-        )
+        self.robot = self.opened.problem.robot
+        self.runs = self.opened.problem.runs
         self.known = self.robot.is_calibrated(joints_of(self.runs))
         self.assessed = Assessment(self.fit, self.name, self.opened)
         # what each source puts on the value, the largest first
         self.budget = [
             (self.called.get(source, source), std) for source, std in self.assessed.budget()
         ]
+        # found by `compare_runs`: which run contradicts the others, and what both say
+        self.outlier: int | None = None
         self.apart: Contradiction | None = None
-        self.outlier: int | None = None  # the run that says so
         self.guesses: list[Guess] = []
 
     def values(self, withheld: str) -> tuple[Value, ...]:

@@ -81,7 +81,7 @@ def not_negative(
     std: float,
     quantile: float = Z95,
 ) -> tuple[float, float]:
-    """The 95 % interval of a quantity that cannot be below nothing, never shorter above than the likelihood has it.
+    """The 95 % interval of a quantity that cannot be negative: its lower end is cut off at 0, its upper end stays.
 
     An estimate below nothing says what one at nothing does, and no more: its posterior, cut off there, would be the
     narrower the less likely it is.

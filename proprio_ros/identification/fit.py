@@ -340,10 +340,8 @@ def _split(
     (Shapley effects, Owen 2014, SIAM/ASA J. Uncertainty Quantification 2(1)): no share is negative, and they add up. ``row`` (F,)
     is the covariance of the result with each free unknown, ``precision`` (F, F) that of their prior.
     """
-    names, every = (
-        list(groups),
-        [place for places in groups.values() for place in places],
-    )
+    names = list(groups)
+    every = [place for places in groups.values() for place in places]
     prior = scaled_inverse(precision[np.ix_(every, every)])
     within = [[every.index(place) for place in groups[name]] for name in names]
 
@@ -509,12 +507,10 @@ class _Held:
         best: np.ndarray,
     ) -> None:
         self.coordinates = problem.coordinates
-        (
-            self._problem,
-            self.column,
-            self._inflation,
-            self._best,
-        ) = problem, column, inflation, best
+        self._problem = problem
+        self.column = column
+        self._inflation = inflation
+        self._best = best
 
     def linearise(
         self,

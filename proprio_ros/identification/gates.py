@@ -1,4 +1,4 @@
-"""When a recording cannot be trusted, and the sentence that says so."""
+"""When a run cannot be trusted: too little of it, a misfit, or a contradiction to the other runs; and the sentence that says so."""
 
 from __future__ import annotations
 
@@ -58,11 +58,10 @@ class Findings:
 
 @dataclass(frozen=True)
 class Contradiction:
-    """A run that the others predict badly."""
+    """A run that the others predict badly; where both say nearly the same, half of the difference widens the interval."""
 
     sentence: str  # what it says, and what they say; empty where that is the same
-    # of the difference between two values that are nearly alike; None where they are not
-    half: float | None = None
+    half: float | None = None  # of the difference; None where the run contradicts the others
 
 
 def contradiction(

@@ -47,7 +47,7 @@ from proprio_ros.identification.stamps import stamps_off
 from proprio_ros.quantity import Z95, shown, spec_for
 
 FAR = 5.0
-"""Standard deviations of its prior beyond which an unknown says that the model is wrong, whatever the residuals say (DESIGN)."""
+"""Standard deviations of its prior beyond which an unknown says that the model is wrong, whatever the residuals say."""
 NAMED_AT_MOST = 3
 LEAST_LEARNT = 1e-4  # of a zero's variance: a recording that tells less of it tells nothing
 ELSEWHERE = 4.0
@@ -190,15 +190,11 @@ class Assessment:
         name: str,
         opened: FitResult | None = None,
     ) -> None:
-        self.fit, self.name, self.opened = (
-            fit,
-            name,
-            opened or fit,
-        )
-        self.robot, self.runs = (
-            fit.problem.robot,
-            fit.problem.runs,
-        )
+        self.fit = fit
+        self.name = name
+        self.opened = opened or fit
+        self.robot = fit.problem.robot
+        self.runs = fit.problem.runs
         self.known = self.robot.is_calibrated(joints_of(self.runs))
         self.row = fit.problem.index[name]
         self.unit = fit.problem.unknowns[self.row].unit
@@ -454,7 +450,7 @@ def positive(
     highest: float = np.inf,
     quantile: float = Z95,
 ) -> Value:
-    """A quantity that is not negative, with an interval that is not either: an empty hand reads 0.
+    """A quantity that is not negative, with an interval whose lower end is cut off at 0: an empty hand reads 0.
 
     Args:
         name: Of the quantity.

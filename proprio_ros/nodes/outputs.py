@@ -16,7 +16,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
 from proprio_ros import clock
-from proprio_ros.errors import ExcitationError
+from proprio_ros.errors import ConfigurationError, ExcitationError
 from proprio_ros.excitation.commands import Command
 from proprio_ros.excitation.controllers import Controller
 from proprio_ros.excitation.effort_controller import EffortController
@@ -61,10 +61,14 @@ def controller_of(node: ManagedNode, robot: Robot, topic: str) -> Controller:
         controller = EffortController(robot, joints, values["effort_unit"], gains)
         goes = f"efforts go to {topic}; this node alone holds the arm then"
         beside = "keep a hand near the emergency stop"
-    else:
+    elif values["command_interface"] == "position":
         controller = GoalController(robot, joints, jump_rad)
         goes = f"goals go to {topic}"
         beside = "keep a hand near the servos' supply"
+    else:
+        raise ConfigurationError(
+            f"no controller for the command interface {values['command_interface']!r}"
+        )
     node.say("warning", f"{goes}; {switches}{beside} (docs: hardware and safety)")
     return controller
 

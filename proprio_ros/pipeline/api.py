@@ -284,7 +284,8 @@ class Plans(Listed[ExcitationPlan]):
         self, robot: Robot, plans: Iterable[ExcitationPlan], masses_kg: Sequence[float]
     ) -> None:
         super().__init__(plans)
-        self.robot, self.masses_kg = robot, list(masses_kg)
+        self.robot = robot
+        self.masses_kg = list(masses_kg)
 
     def as_json(self) -> dict[str, Any]:
         """What ``proprio plan --json`` prints."""

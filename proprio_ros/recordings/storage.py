@@ -309,5 +309,7 @@ storage_mcap.DECOMPRESSORS.update(
     }
 )
 storage_mcap.read_exact = _read_exact
-rosbag2_reader.zstd, rosbag2_reader.YAML, metadata.YAML = _Zstd, _Yaml, _Yaml
+rosbag2_reader.zstd = _Zstd
+rosbag2_reader.YAML = _Yaml
+metadata.YAML = _Yaml
 Reader.STORAGE_PLUGINS[".mcap"] = rosbag2_reader.DirectoryReader.STORAGE_PLUGINS["mcap"] = AnyMcap

@@ -251,13 +251,11 @@ def convergence_figure(estimate: Estimate) -> str:
     verticals = [begin] if solver.refined else []
     stops = [path.scheduled for path in solver.paths if path.scheduled is not None]
     if stops:
-        at, values = (
-            np.full(
-                len(stops),
-                solver.iterations,
-            ),
-            factor * np.array(stops),
+        at = np.full(
+            len(stops),
+            solver.iterations,
         )
+        values = factor * np.array(stops)
         series.append(Series("where the schedule stops", at, values, "answer", "dots"))
         verticals = [solver.iterations]
     answer = estimate.values[0].value

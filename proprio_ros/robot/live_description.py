@@ -36,7 +36,8 @@ class LiveDescription:
     """
 
     def __init__(self, topic: str, folder: Path) -> None:
-        self._topic, self._folder = topic, folder
+        self._topic = topic
+        self._folder = folder
         self._fingerprint = ""
         self.path: Path | None = None
         self.problem = (
@@ -48,7 +49,8 @@ class LiveDescription:
         try:
             model = _usable(text, self._topic)
             if self.path is None:
-                self.path, self._fingerprint = self._kept(text, model), model.fingerprint()
+                self.path = self._kept(text, model)
+                self._fingerprint = model.fingerprint()
         except ProprioError as error:
             if self.path is not None:
                 return "warning", f"{error}; goes on with the one from before"

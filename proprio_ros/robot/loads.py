@@ -58,7 +58,8 @@ class Loads:
             robot.payload_frame,
             (-1, np.eye(4)),
         )
-        self._hand, self._held_at = body, place[:, 3]
+        self._hand = body
+        self._held_at = place[:, 3]
 
     def at(
         self,

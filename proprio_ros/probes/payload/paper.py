@@ -293,7 +293,9 @@ class LastFrame:
         target: float,
     ) -> None:
         self._target = target
-        self.prepared, self.step_s, self.time_s = run, step_s, time_s
+        self.prepared = run
+        self.step_s = step_s
+        self.time_s = time_s
         last = replace(
             run.run,
             times_s=np.array([time_s]),
