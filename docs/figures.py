@@ -84,10 +84,10 @@ def markdown(
         value: The rows are shown whose number of that name reads so.
 
     Raises:
-        LookupError: No row does.
+        LookupError: No row does, of those that are asked for.
     """
     rows = [row for row in table["rows"] if not key or str(row[key]) == value]
-    if not rows:
+    if key and not rows:
         raise LookupError(f"no row with {key}={value}")
     columns = table["columns"]
     return table_of(
