@@ -189,4 +189,7 @@ def test_mutated_pushes_of_one_arm(capsys: pytest.CaptureFixture[str]) -> None:
 
     main(["--count", "4", "--first", "11", "--only", "step of a held joint", "command scaled"])
     rows = [line.split("|") for line in capsys.readouterr().out.splitlines() if "|" in line]
-    assert [row[4].strip() for row in rows if row[1].strip() in ("all", "nothing")] == ["0", "0"]
+    beyond = {row[1].strip(): row[4].strip() for row in rows}
+    assert beyond["nothing"] == beyond["step of a held joint"] == "0"
+    # a command that is 3 % off its measured effort passes, and 3 % of torque are 3.5 standard deviations of one of the six
+    assert beyond["command scaled"] in ("0", "1")
