@@ -17,7 +17,7 @@ from proprio_ros.identification.unknowns import Role, Unknown
 from proprio_ros.kinds import Key, Scope
 from proprio_ros.quantity import Quantity
 from proprio_ros.records import MEASURED_EFFORT
-from proprio_ros.robot import ZEROS_BESIDE, Robot
+from proprio_ros.robot import Robot
 from proprio_ros.sim.payload import PayloadFacts
 
 PAYLOAD_TERMS = (
@@ -61,6 +61,11 @@ MOMENT_REPEATS = 0.015
 """Standard deviation of gravity's moment over inertia between swings of one joint with one load, relative: masses of servos that
 were let go repeat to 1.9 to 4.5 %, which is 1 to 2 % of it where the rotor is half of the inertia."""
 ZERO_REPEATS = 0.3  # of a zero as well as the file knows it, what differs from swing to swing
+ZEROS_BESIDE = 5.0
+"""How many times as far as usual zeros are let go where a known load beside the object tells them.
+
+It costs nothing there, and 15 mrad are followed that would else be taken for weight.
+"""
 COMMON_SHARE = 0.5
 """Of the variance of torque constants, what motors of one kind have in common before anything is learnt: a maker's number is off
 for all of them, and each differs from it. If each erred on its own alone, several joints together would tell the arm's weight from
@@ -220,10 +225,13 @@ def _of_run(robot: Robot, row: int, run: PreparedRun, drive_role: Role) -> list[
 
 
 def prior_of(robot: Robot, runs: Sequence[PreparedRun]) -> Calibration | None:
-    """What a calibration says of other runs; a free swing has an unknown of its own for where its zero is."""
-    if any(run.run.free for run in runs):
+    """What a calibration says of runs that it was not made of: zeros may be others, the rest is the same.
+
+    A free swing has an unknown of its own for where its zero is.
+    """
+    if robot.calibration is None or any(run.run.free for run in runs):
         return robot.calibration
-    return robot.known_beside if has_known_load(runs) else robot.known
+    return robot.calibration.with_other_zeros(zero_repeat_of(robot, runs))
 
 
 def zero_repeat_of(robot: Robot, runs: Sequence[PreparedRun]) -> float:

@@ -120,11 +120,9 @@ def _scaled_down(
     diagonal = np.diagonal(matrix, axis1=1, axis2=2)
     largest = np.abs(diagonal).max(axis=1, initial=0.0)
     runs_away = np.isfinite(largest) & (largest > LARGEST_CURVATURE)
-    factor = np.where(
-        runs_away,
-        LARGEST_CURVATURE / np.where(runs_away, largest, 1.0),
-        1.0,
-    )
+    if not runs_away.any():
+        return cost, gradient, matrix
+    factor = LARGEST_CURVATURE / np.where(runs_away, largest, LARGEST_CURVATURE)
     return (
         cost,
         gradient * factor[:, None],

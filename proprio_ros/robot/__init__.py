@@ -17,12 +17,11 @@ from proprio_ros.robot.geometry import (
     rotation_from_rpy,
 )
 from proprio_ros.robot.live_description import LiveDescription
-from proprio_ros.robot.robot_file import ZEROS_BESIDE, Robot, load_robot, with_recorded_torque
+from proprio_ros.robot.robot_file import Robot, load_robot, with_recorded_torque
 from proprio_ros.robot.tree import ReducedModel, RobotModel
 from proprio_ros.robot.urdf import Joint
 
 __all__ = [
-    "ZEROS_BESIDE",
     "DriveTrain",
     "Joint",
     "LiveDescription",

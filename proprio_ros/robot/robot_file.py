@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import functools
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -59,12 +58,6 @@ from proprio_ros.robot.tree import RobotModel
 from proprio_ros.robot.urdf import Joint
 from proprio_ros.robot.wide import RECORDED_TORQUE, Wide, largest_torque
 from proprio_ros.whole_files import real_path
-
-ZEROS_BESIDE = 5.0
-"""How many times as far as usual zeros are let go where a known load beside the object tells them.
-
-It costs nothing there, and 15 mrad are followed that would else be taken for weight.
-"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,20 +115,6 @@ class Robot:
         if joints is None:
             return self.calibration is not None or bool(self.settings.get("calibrated"))
         return self.calibration is not None and set(joints) <= set(self.calibration.joints)
-
-    @functools.cached_property
-    def known(self) -> Calibration | None:
-        """What its calibration says of a recording that it was not made of: zeros may be others, the rest is the same."""
-        if self.calibration is None:
-            return None
-        return self.calibration.with_other_zeros(self.zero_repeat)
-
-    @functools.cached_property
-    def known_beside(self) -> Calibration | None:
-        """The same of a recording that has one of a known load beside it: zeros may be far elsewhere, for that one tells them."""
-        if self.calibration is None:
-            return None
-        return self.calibration.with_other_zeros(ZEROS_BESIDE * self.zero_repeat)
 
     @property
     def friction_rises(self) -> bool:

@@ -58,6 +58,22 @@ def test_levenberg_marquardt_reaches_the_minimum_from_every_start() -> None:
     )
 
 
+class RunsAway(Valley):
+    """One start's curvature is near the largest number that there is, as of a simulation that grows without bound."""
+
+    def linearise(
+        self, internal: np.ndarray, counts: np.ndarray | None = None
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        cost, gradient, matrix = super().linearise(internal)
+        steep = np.where(internal[:, 0] < -1.0, 3.115e305, 1.0)
+        return cost, gradient * steep[:, None], matrix * steep[:, None, None]
+
+
+def test_a_start_that_runs_away_overflows_nothing_and_changes_no_other() -> None:
+    found = solvers.levenberg_marquardt(RunsAway(), STARTS, whole, iterations=100)
+    np.testing.assert_allclose(found.internal, 1.0, atol=1e-6)
+
+
 def test_levenberg_marquardt_slides_along_a_bound() -> None:
     """With x <= 0.5 the minimum is at x = 0.5, y = 0.25."""
     found = solvers.levenberg_marquardt(

@@ -56,13 +56,13 @@ from proprio_ros.identification.posterior import Posterior, run_fits
 from proprio_ros.identification.prepared_runs import KnownLoad, PreparedRun, joints_of, prepare_run
 from proprio_ros.identification.problem import Problem
 from proprio_ros.identification.reasons import Reason
-from proprio_ros.identification.robot_unknowns import ZERO_REPEATS
+from proprio_ros.identification.robot_unknowns import ZERO_REPEATS, ZEROS_BESIDE
 from proprio_ros.identification.same_joint import another_joint, mean_of, outside
 from proprio_ros.identification.swing_friction import TERMS, own_friction, swing_starts
 from proprio_ros.identification.unknowns import Role
 from proprio_ros.quantity import Z95, shown
 from proprio_ros.records import Run
-from proprio_ros.robot import ZEROS_BESIDE, Robot
+from proprio_ros.robot import Robot
 from proprio_ros.sim.payload import PayloadFacts
 
 COM = tuple(f"payload_com_{axis}" for axis in "xyz")
