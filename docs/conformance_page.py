@@ -25,8 +25,8 @@ test/conformance`), and that another tool can be asked, too.
   each with its parameters.
 - **Right** are the verdicts ([Results](results.md#verdicts)). *Unreadable* is a refusal as the recording is read, exit code 2;
   *any* is every verdict and this, *no answer* all but `accepted`. Wherever an answer is given, its 95 % interval has to hold
-  the truth. A refusal carries one of the codes ([Refusals](refusals.md)), where any stand there, and its message matches the
-  regular expression.
+  the truth. A refusal carries one of the codes ([Refusals](refusals.md)), where any stand there. *Named*: what is said names
+  this cause, and none that leads astray; each row has regular expressions for both.
 
 To ask another tool, write `asked` of `test/support/known/asking.py` for it: of a command and its files the verdict, the value,
 the interval and the message."""
@@ -111,10 +111,8 @@ def _right(row: Any) -> str:
     found = [_verdicts(row.verdicts)]
     if row.codes:
         found.append(" or ".join(f"`{code}`" for code in row.codes))
-    if row.cause:
-        found.append(f"`{row.cause}`")
-    if row.unsaid:
-        found.append(f"never `{row.unsaid}`")
+    if row.cause or row.unsaid:
+        found.append("named")
     if row.narrow is not None:
         found.append(f"at most {row.narrow:g} half wide")
     if row.pending:

@@ -22,7 +22,7 @@ import os
 import sys
 import tempfile
 import textwrap
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -86,20 +86,18 @@ ABOUT = {
     "/driver/stop": "all currents to zero, at once, until `~/torque` is called",
     "/driver/torque": "torque on or off",
     "/identifier/estimate": "every value with unit, standard deviation, 95 % interval, verdict, reasons, calibration used; of a "
-    "payload also while the probe is under way, and with `running` all the time, with `changed`, stamped by the newest "
-    "joint state that it rests on: `seconds_behind` says how long ago that was sent; from 1 s on its level is WARN and `holding` "
-    "is `unknown`, from 3 s on it is `not determined`, with `verdict` `withdrawn` and the reason",
+    "payload also while the probe is under way, and with `running` all the time ([when it is late](weigh_at_work.md#how-old-it-is))",
     "/identifier/payload": "mass, centre of mass and inertia, in the frame of the link that holds it; `inertia` of `~/estimate` "
     "says whether that tensor is identified, stated, or assumed: that of the ball in `config/probes/payload.yaml`; with "
     "`running` stamped as `~/estimate`, and NaN when it is withdrawn",
     "/identifier/holding": "whether something is in the hand, published when that changes: at a probability of 0.99, and back at "
-    "0.01; it keeps its value meanwhile, and `holding` of `~/estimate` says `unknown`, as where the estimate is late",
+    "0.01; in between it keeps its value",
     "/identifier/gravity_effort": "with `gravity_effort_rate`, while it is known what the hand holds: efforts that carry arm and "
     "payload in the pose of this stamp, without friction [N m]",
     "/identifier/gravity_effort_std": "their standard deviations, with the same stamp and joints [N m]",
     "/identifier/capability": "whether the arm can carry what it holds, here or to the goal on `~/carry_to`: `can_carry`, the "
     "`joint` that decides, its `margin` of the limit, `most`, the heaviest load [kg], and `stamp` [s] of the newest joint state "
-    "that what it holds rests on; `can_carry` is `unknown` when that is withdrawn",
+    "that what it holds rests on",
     "/identifier/carry_to": "positions of some joints [rad]: can what is held be carried there on the straight way of the joints?",
     "/identifier/mass": "kg, to plot, of the payload or of the sphere; NaN as soon as something else is asked for",
     "/identifier/sphere_mass": "kg, to plot",
@@ -132,13 +130,15 @@ def command_line() -> str:
 
     parser = make_parser()
     commands = dict(_commands(parser))
+    shared = _shared(command for _, command in commands.values())
     parts = [
         NOTE,
         "# Command line",
         "Results go to stdout, everything else to stderr. Exit codes: 0 accepted, 2 bad input, "
         "3 rejected, not identifiable or too wide, "
         "130 interrupted, 143 ended by SIGTERM. "
-        "`proprio --version` prints the version; every command explains itself with `--help`.",
+        "`proprio --version` prints the version; every command explains itself with `--help`. Options that several commands have "
+        "stand [at the end](#shared-options).",
         _table(
             ("command", "does"),
             [
@@ -153,13 +153,22 @@ def command_line() -> str:
             command.description or "",
             f"```\n{_usage(name, command)}\n```",
         ]
-        options = [action for action in command._actions if action.dest != "help"]
-        parts.append(
-            _table(("argument", "default", "meaning"), [_option(action) for action in options])
-        )
+        options = [_option(action) for action in command._actions if action.dest != "help"]
+        own = [row for row in options if row not in shared]
+        if own:
+            parts.append(_table(("argument", "default", "meaning"), own))
         if command.epilog:
             parts.append(command.epilog)
+    parts += ["## Shared options", "They mean the same wherever the lines above have them."]
+    parts.append(_table(("argument", "default", "meaning"), shared))
     return "\n\n".join(part for part in parts if part) + "\n"
+
+
+def _shared(commands: Iterable[argparse.ArgumentParser]) -> list[tuple[str, str, str]]:
+    """Options that several commands have with the same words."""
+    every = [_option(action) for command in commands for action in command._actions]
+    rows = [row for row in every if row[0].startswith("`--") and row[0] != "`--help`"]
+    return [row for row in dict.fromkeys(rows) if rows.count(row) > 1]
 
 
 def _commands(
@@ -288,6 +297,7 @@ def ros_interface() -> str:
         "while a job is under way others are refused with the reason.",
     ]
     explained = _Once("as above")
+    meant = _Once("as above")
     for name, (module, node) in nodes().items():
         parts += [
             f"## {name}",
@@ -315,7 +325,7 @@ def ros_interface() -> str:
             "### Parameters",
             _table(
                 ("parameter", "default", "range", "meaning"),
-                [_parameter(parameter) for parameter in (parameters.AUTOSTART, *node.parameters)],
+                [_parameter(each, meant) for each in (parameters.AUTOSTART, *node.parameters)],
             ),
         ]
     parts += [
@@ -379,12 +389,12 @@ def _about_probe(topic: str) -> str:
     return f"make the sequence named by `{probe}_sequence`, and identify" if found else ""
 
 
-def _parameter(parameter: Any) -> tuple[str, str, str, str]:
+def _parameter(parameter: Any, meant: _Once) -> tuple[str, str, str, str]:
     stated = str(parameter.default).replace(tempfile.gettempdir(), "/tmp")
     default = f"`{stated}`" if parameter.default not in ("", []) else "empty"
     default = {"`True`": "`true`", "`False`": "`false`"}.get(default, default)
     bounded = parameter.lowest is not None and parameter.highest is not None
-    about = parameter.description + (" *running*" if parameter.dynamic else "")
+    about = meant(parameter.description) + (" *running*" if parameter.dynamic else "")
     return (
         f"`{parameter.name}`",
         default,

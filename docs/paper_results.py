@@ -26,6 +26,9 @@ PAGES = Path(__file__).resolve().parent / "pages"
 NOTE = "<!-- written by docs/paper_results.py from the rows of `proprio paper`: change that instead -->"
 DRAWN = r"svg text|\.chart|\.(measured|simulated|left-out|current|agreeing|apart|answer)\b"
 """Of the page's style sheet, the rules that a picture needs."""
+LEFT_OUT = re.compile(r'\n<tr id="(table-1-\S+-as-stated|cubes-\S+-poissons-ratio-\S+)">.*?</tr>')
+"""Rows that stand on the page of the command alone: of an uncalibrated arm what all objects say together stays."""
+SHORTER = "[How this is made](paper.md). `paper.html` also has Table I of each object before calibration, and Poisson's ratio."
 
 
 def main() -> None:
@@ -61,7 +64,7 @@ def kept(folder: Path) -> dict[str, list[Rows]]:
 
 def as_markdown(parts: Sequence[str]) -> tuple[str, dict[str, str]]:
     """The page's parts as Markdown, whose tables stay HTML, and its figures by file name."""
-    lines, drawn = [NOTE, "# The paper: tables and figures", "[How this is made](paper.md)."], {}
+    lines, drawn = [NOTE, "# The paper: tables and figures", SHORTER], {}
     section = ""
     for part in parts[1:]:
         heading = re.fullmatch(r"<h(\d)(?: id=\"([^\"]+)\")?>(.*)</h\d>", part)
@@ -88,7 +91,8 @@ def _plain(part: str) -> str:
     """A part without what only the page's own style sheet needs; a row of a table to a line."""
     part = re.sub(r"^<div class=wide>(.*)</div>$", r"\1", part, flags=re.DOTALL)
     part = re.sub(r' data-name="[^"]*"| class=(folds|label)\b', "", part)
-    return re.sub(r' class=("label number"|number\b)', " align=right", part).replace("<tr", "\n<tr")
+    plain = re.sub(r' class=("label number"|number\b)', " align=right", part)
+    return LEFT_OUT.sub("", plain.replace("<tr", "\n<tr"))
 
 
 def alone(svg: str, rules_of: str = DRAWN) -> str:

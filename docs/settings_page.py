@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
 Table = Callable[[tuple[str, ...], list[Any]], str]
 ABOUT = """What a setting (`--set KEY=VALUE`, the identifier's parameter `settings`), a robot file, a driver profile \
 and a calibration may say. Ranges are wider than any arm on a table needs; what lies outside is refused in one \
-sentence. Defaults are those of the files in `config/probes`."""
+sentence. Defaults are those of the files in `config/probes`. "0 to 1 m" is a number in that range; ± takes `{value: .., std: ..}`, too."""
 OF_PROBES = """`payload.size`, `container.inner_size` and `block.size` are lengths in m of the form that the shape \
 needs: a diameter or an edge, `[diameter, length]`, or `[x, y, z]`. `payload.frame` is a link of the robot, \
 `held.JOINT` the position of a joint that was locked and not recorded, and `robot.KEY` any key of the robot file."""
-OF_ROBOTS = """An uncertain number is `{value: .., std: ..}`; a plain one is known exactly; `null` is left out, and \
-what is left out has its default. `proprio robot new` writes a file with every key. The nominal torque constant may be \
+OF_ROBOTS = """An uncertain number is `{value: .., std: ..}`; a plain one is known exactly. `null` is left out, which \
+has its default. `proprio robot new` writes a file with every key. The nominal torque constant may be \
 left out where the drive train's is stated."""
 OF_DRIVERS = """Files of `config/drivers`, or of your own, for `--driver` and the identifier's parameter `driver`. \
 Keys that are left out are those of the profile that a file extends. Topics are named without a namespace, and found \
@@ -37,7 +38,7 @@ def page(note: str, table: Table, once: Callable[[str], str]) -> str:
     parts += [OF_PROBES, "## Robot file", OF_ROBOTS]
     parts += _robot_file(table, once)
     parts += ["## Driver profile", OF_DRIVERS, *_driver_profile(table)]
-    parts += ["## Calibration", OF_CALIBRATIONS, _calibration(table, once)]
+    parts += ["## Calibration", OF_CALIBRATIONS, _calibration()]
     parts += ["## Limits", table(("of", "at most"), _limits())]
     return "\n\n".join(parts) + "\n"
 
@@ -79,7 +80,7 @@ def _settings_of(
             continue
         value = stated.get(name)
         default = "" if value is None else f"`{_yaml(value)}`"
-        rows.append((f"`{key}`", default, form.described(), once(form.meaning)))
+        rows.append((f"`{key}`", default, _shortly(form), once(form.meaning)))
     return rows
 
 
@@ -96,7 +97,7 @@ def _robot_file(table: Table, once: Callable[[str], str]) -> Iterable[str]:
         rows = []
         for key, field in found.items():
             default = _default(field.default, REQUIRED)
-            rows.append((f"`{key}`", default, field.form.described(), once(field.form.meaning)))
+            rows.append((f"`{key}`", default, _shortly(field.form), once(field.form.meaning)))
         yield f"### {title}"
         yield table(("key", "default", "value", "meaning"), rows)
 
@@ -107,22 +108,21 @@ def _driver_profile(table: Table) -> Iterable[str]:
     for title, forms in (("", FORMS), ("### inputs", INPUT), ("### columns", COLUMNS)):
         if title:
             yield title
-        rows = [(f"`{key}`", form.described(), form.meaning) for key, form in forms.items()]
+        rows = [(f"`{key}`", _shortly(form), form.meaning) for key, form in forms.items()]
         yield table(("key", "value", "meaning"), rows)
 
 
-def _calibration(table: Table, once: Callable[[str], str]) -> str:
+def _calibration() -> str:
+    """The unknowns that may stand in one; their ranges are in the code, since a program writes them."""
     from proprio_ros.calibration_files.pushes import NOISE, RANGES
     from proprio_ros.kinds import KINDS
 
-    rows = []
-    for kind, form in RANGES.items():
+    names = []
+    for kind in RANGES:
         of = KINDS[kind].of
-        name = f"`{kind}[{of.upper()}]`" if of else f"`{kind}`"
-        rows.append((name, form.described(), form.meaning))
-    for key, form in NOISE.items():
-        rows.append((f"`{key}`", form.described(), once(form.meaning)))
-    return table(("unknown", "value", "meaning"), rows)
+        names.append(f"`{kind}[{of.upper()}]`" if of else f"`{kind}`")
+    names += [f"`{key}`" for key in NOISE]
+    return f"Unknowns are {', '.join(names)}; `calibration_files/pushes.py` has their ranges."
 
 
 def _limits() -> list[tuple[str, str]]:
@@ -143,6 +143,12 @@ def _limits() -> list[tuple[str, str]]:
         ("one message", f"{reader.MOST_BYTES_OF_ONE / 1e3:g} kB"),
         ("files of a compressed bag, unpacked", f"{storage.MOST_UNPACKED / 1e9:g} GB each"),
     ]
+
+
+def _shortly(form: Any) -> str:
+    """Type, range and unit in as few words as a table has room for."""
+    words = form.described().replace(", or its value and std", " ±").replace("each a number", "each")
+    return re.sub(r"\b(number|each) (from )?(?=\S)", lambda found: "each " * (found[1] == "each"), words)
 
 
 def _yaml(value: Any) -> str:
