@@ -99,10 +99,10 @@ setup(
     entry_points={
         "console_scripts": [
             "proprio = proprio_ros.cli:run",
-            "proprio_driver = proprio_ros.nodes.driver:main",
-            "proprio_excitation = proprio_ros.nodes.excitation:main",
-            "proprio_identifier = proprio_ros.nodes.identifier:main",
-            "proprio_virtual = proprio_ros.nodes.virtual:main",
+            "proprio_driver = proprio_ros.nodes.programs:driver",
+            "proprio_excitation = proprio_ros.nodes.programs:excitation",
+            "proprio_identifier = proprio_ros.nodes.programs:identifier",
+            "proprio_virtual = proprio_ros.nodes.programs:virtual",
         ]
     },
     license="Apache-2.0",

@@ -16,7 +16,6 @@ import importlib
 import importlib.abc
 import importlib.machinery
 import importlib.util
-import inspect
 import operator
 import os
 import sys
@@ -58,67 +57,6 @@ PARTS: dict[str, tuple[tuple[str, dict[str, str]], ...]] = {
 """What makes connections beside a node's `configure`: a module of nodes, a class and its method, and arguments of it."""
 ROS = ("rclpy", "rcl_interfaces", "builtin_interfaces", "diagnostic_msgs", "geometry_msgs", "sensor_msgs", "std_msgs",
        "std_srvs", "visualization_msgs")  # fmt: skip
-ABOUT = {
-    "/joint_states": "positions [rad, m], velocities [rad/s, m/s], effort [N m, N]: present current x nominal torque constant",
-    "/robot_description": "URDF, as `robot_state_publisher` publishes it; only where `robot` is the name of this topic",
-    "/applied_effort": "same stamps: commanded current x nominal torque constant [N m, N]",
-    "/applied_current": "commanded current [A], `layout.dim` labelled by joint, to plot",
-    "/torque_enabled": "false while a joint is without torque: all of them, or one that a lease drives with a current of zero",
-    "/diagnostics": "bus, servos, late cycles, left-out samples; once a second, and at once when the driver's state changes",
-    "/current_command": "currents [A], in the order of `joints`, or of the labels in `layout.dim`; one publisher at a time, and a "
-    "zero lets go of a joint only after a push",
-    "/forward_effort_controller/commands": "with an effort controller, instead of those above: efforts in `effort_unit`, in the "
-    "order of `controller_joints`",
-    "/position_controller/commands": "with a position controller: goals [rad, m], likewise",
-    "/joint_command": "with a position controller: the goals that were sent [rad, m], by name; the identifier records them where "
-    "the robot file says that servos follow goals",
-    "/battery_state": "supply voltage, where voltages drive the motors",
-    "/position_command": "goal positions [rad, m], labelled likewise; above the table, one publisher at a time",
-    "/driver/status": "`state`: running, stopped, released, disconnected, inactive; at once when it changes",
-    "/motor_temperatures": "how warm each motor is, labelled by joint [deg C]; a calibration ages by it",
-    "/motors": "what each servo keeps without power, as JSON by joint: whose arm it is; a calibration is refused on another",
-    "/excitation/status": "what the sequence is doing",
-    "/excitation/lease": "true, again and again: the sequence is wanted, and ends after 1.5 s of silence; false: no more",
-    "/excitation/run": "make the sequence named by the parameter `probe`",
-    "/excitation/abort": "end it; the driven joint is braked and held",
-    "/excitation/release": "let go of an arm that efforts hold: they are zero, and it comes down; servos stay at their last "
-    "goals, the driver's arm as it is, and where controllers are switched the arm is handed back",
-    "/driver/stop": "all currents to zero, at once, until `~/torque` is called",
-    "/driver/torque": "torque on or off",
-    "/identifier/estimate": "every value with unit, standard deviation, 95 % interval, verdict, reasons, calibration used; of a "
-    "payload also while the probe is under way, and with `running` all the time ([when it is late](weigh_at_work.md#how-old-it-is))",
-    "/identifier/payload": "mass, centre of mass and inertia, in the frame of the link that holds it; `inertia` of `~/estimate` "
-    "says whether that tensor is identified, stated, or assumed: that of the ball in `config/probes/payload.yaml`; with "
-    "`running` stamped as `~/estimate`, and NaN when it is withdrawn",
-    "/identifier/holding": "whether something is in the hand, published when that changes: at a probability of 0.99, and back at "
-    "0.01; in between it keeps its value",
-    "/identifier/gravity_effort": "with `gravity_effort_rate`, while it is known what the hand holds: efforts that carry arm and "
-    "payload in the pose of this stamp, without friction [N m]",
-    "/identifier/gravity_effort_std": "their standard deviations, with the same stamp and joints [N m]",
-    "/identifier/capability": "whether the arm can carry what it holds, here or to the goal on `~/carry_to`: `can_carry`, the "
-    "`joint` that decides, its `margin` of the limit, `most`, the heaviest load [kg], and `stamp` [s] of the newest joint state "
-    "that what it holds rests on",
-    "/identifier/carry_to": "positions of some joints [rad]: can what is held be carried there on the straight way of the joints?",
-    "/identifier/mass": "kg, to plot, of the payload or of the sphere; NaN as soon as something else is asked for",
-    "/identifier/sphere_mass": "kg, to plot",
-    "/identifier/fill": "m, how high a liquid stands, to plot",
-    "/identifier/liquid_inside": "probability of a liquid, to plot",
-    "/identifier/youngs_modulus": "Pa, to plot",
-    "/identifier/lame_mu": "Pa, to plot",
-    "/identifier/lame_lambda": "Pa, to plot",
-    "/identifier/markers": "for RViz",
-    "/identifier/status": "progress, and what the hand should hold now",
-    "/identifier/calibrate_robot": "empty hand: calibrate the robot; once, and when something has changed",
-    "/identifier/next_push": "what is known after a push, in words, and the way of the hand in the push that comes next, in RViz",
-    "/identifier/refresh_robot": "empty hand: some chosen pushes that bring its calibration up to date; now and then",
-    "/identifier/record_container_baseline": "make the container's sequence with the empty container, and keep the recording",
-    "/identifier/record_contents_baseline": "make the sequence of the contents with the empty container, and keep the recording",
-    "/identifier/weigh": "what the hand held in the last `weigh_seconds` of whatever motion",
-    "/identifier/apply": "export the accepted load to the arm's own controller (`hand_on`)",
-    "/identifier/cancel": "end the job; what was recorded is kept",
-    "/virtual/status": "what the virtual hand holds",
-    "/virtual/motors": "what is really going on: true positions [rad, m], and as effort the current in each motor [A]",
-}  # fmt: skip
 
 
 # --- command line -------------------------------------------------------------------------------------------------------
@@ -288,6 +226,9 @@ def connections_of(name: str, module: ModuleType, node: Any) -> list[Connection]
 
 def ros_interface() -> str:
     """The page about topics, services and parameters."""
+    from proprio_ros.nodes.interface import about, interface_of
+    from proprio_ros.nodes.tables import AUTOSTART
+
     parts = [
         NOTE,
         "# ROS interface",
@@ -301,7 +242,7 @@ def ros_interface() -> str:
     for name, (module, node) in nodes().items():
         parts += [
             f"## {name}",
-            f"`proprio_{name}`. " + inspect.cleandoc(node.__doc__ or "").split("\n\n")[0],
+            f"`proprio_{name}`. {interface_of(name).about}",
         ]
         found = connections_of(name, module, node)
         for what, title in (("publishes", "Publishes"), ("takes", "Takes"), ("serves", "Services")):
@@ -309,7 +250,7 @@ def ros_interface() -> str:
                 (
                     f"`{topic}`",
                     f"`{kind}`",
-                    explained(ABOUT.get(topic) or _about_probe(topic)),
+                    explained(about(topic)),
                     "latched" * (quality == "LATCHED"),
                 )
                 for way, topic, kind, quality in found
@@ -320,12 +261,11 @@ def ros_interface() -> str:
             )
             if rows:
                 parts += [f"### {title}", _table(columns, [row[: len(columns)] for row in rows])]
-        parameters = importlib.import_module("proprio_ros.nodes.parameters")
         parts += [
             "### Parameters",
             _table(
                 ("parameter", "default", "range", "meaning"),
-                [_parameter(each, meant) for each in (parameters.AUTOSTART, *node.parameters)],
+                [_parameter(each, meant) for each in (AUTOSTART, *node.parameters)],
             ),
         ]
     parts += [
@@ -382,11 +322,6 @@ class _Once:
         known = words in self.shown and len(words) > len(self.instead)
         self.shown.add(words)
         return self.instead if known else words
-
-
-def _about_probe(topic: str) -> str:
-    _, found, probe = topic.partition("/identifier/calibrate_")
-    return f"make the sequence named by `{probe}_sequence`, and identify" if found else ""
 
 
 def _parameter(parameter: Any, meant: _Once) -> tuple[str, str, str, str]:

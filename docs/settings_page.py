@@ -9,7 +9,8 @@ from typing import Any
 Table = Callable[[tuple[str, ...], list[Any]], str]
 ABOUT = """What a setting (`--set KEY=VALUE`, the identifier's parameter `settings`), a robot file, a driver profile \
 and a calibration may say. Ranges are wider than any arm on a table needs; what lies outside is refused in one \
-sentence. Defaults are those of the files in `config/probes`. "0 to 1 m" is a number in that range; ± takes `{value: .., std: ..}`, too."""
+sentence. Defaults are those of the files in `config/probes`. "0 to 1 m" is a number in that range; ± takes \
+`{value: .., std: ..}`, too."""
 OF_PROBES = """`payload.size`, `container.inner_size` and `block.size` are lengths in m of the form that the shape \
 needs: a diameter or an edge, `[diameter, length]`, or `[x, y, z]`. `payload.frame` is a link of the robot, \
 `held.JOINT` the position of a joint that was locked and not recorded, and `robot.KEY` any key of the robot file."""
@@ -147,8 +148,12 @@ def _limits() -> list[tuple[str, str]]:
 
 def _shortly(form: Any) -> str:
     """Type, range and unit in as few words as a table has room for."""
-    words = form.described().replace(", or its value and std", " ±").replace("each a number", "each")
-    return re.sub(r"\b(number|each) (from )?(?=\S)", lambda found: "each " * (found[1] == "each"), words)
+    words = (
+        form.described().replace(", or its value and std", " ±").replace("each a number", "each")
+    )
+    return re.sub(
+        r"\b(number|each) (from )?(?=\S)", lambda found: "each " * (found[1] == "each"), words
+    )
 
 
 def _yaml(value: Any) -> str:

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import ast
-import importlib.util
 import re
 import subprocess
 import sys
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import figures
@@ -27,6 +25,7 @@ from support.documents import (
 )
 
 import proprio_ros
+from proprio_ros.nodes.interface import ABOUT
 
 TEXTS = [
     README,
@@ -284,19 +283,9 @@ def test_commands_are_named_as_a_workspace_has_them() -> None:
         assert "`ros2 run proprio_ros proprio_driver " in words
 
 
-def generator() -> ModuleType:
-    script = REPOSITORY / "docs" / "generate.py"
-    spec = importlib.util.spec_from_file_location("generate", script)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
 def test_what_is_explained_exists() -> None:
     interface = page("ros_interface")
-    unknown = [name for name in generator().ABOUT if f"`{name}`" not in interface]
+    unknown = [name for name in ABOUT if f"`{name}`" not in interface]
     assert unknown == []
 
 

@@ -45,9 +45,9 @@ def node_class(node: str) -> Any:
 @pytest.mark.parametrize("node", CLASSES)
 def test_a_parameter_file_states_every_parameter_and_its_default(node: str) -> None:
     kind = node_class(node)
-    parameters = importlib.import_module("proprio_ros.nodes.parameters")
+    tables = importlib.import_module("proprio_ros.nodes.tables")
     declared = {
-        parameter.name: parameter.default for parameter in (parameters.AUTOSTART, *kind.parameters)
+        parameter.name: parameter.default for parameter in (tables.AUTOSTART, *kind.parameters)
     }
     # `[]` would leave the parameter without a value, and `ros2 param dump` without an answer
     expected = {name: [""] if default == [] else default for name, default in declared.items()}

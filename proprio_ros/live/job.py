@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from proprio_ros import clock
 from proprio_ros.errors import ProprioError
 from proprio_ros.excitation.plans import ExcitationSequence, Until, check_sequence, load_sequence
-from proprio_ros.experiment_design.choosing import Decision
 from proprio_ros.robot import Robot
+
+if TYPE_CHECKING:
+    from proprio_ros.experiment_design.choosing import Decision
 
 ROBOT = "robot"  # the job that calibrates the robot
 REFRESH = "refresh"  # the job that brings its calibration up to date

@@ -20,14 +20,12 @@ from proprio_ros.clock import Pacer, StampClock
 from proprio_ros.errors import ConfigurationError
 from proprio_ros.nodes import messages
 from proprio_ros.nodes.managed_node import ManagedNode
-from proprio_ros.nodes.parameters import ROBOT, Parameter, fields_stated
 from proprio_ros.nodes.process import run_node
 from proprio_ros.nodes.qos import FROM_MANY, LATCHED, STREAM
+from proprio_ros.nodes.tables import DRIVER, fields_stated
 from proprio_ros.recordings.description import robot_named
 from proprio_ros.recordings.topics import TEMPERATURES
 
-_D = DriverSettings()
-ENDS = ("hold", "zero")
 LATE_S = 0.005  # a cycle that begins later than this is reported in the diagnostics
 # the system's clock has been set when it moved by more than this within a second
 CLOCK_JUMP_S = 0.05
@@ -36,31 +34,7 @@ CLOCK_JUMP_S = 0.05
 class DriverNode(ManagedNode):
     """Publishes what the servos report, and passes commands on to them, inside the limits."""
 
-    parameters = (
-        ROBOT,
-        Parameter("port", "/dev/ttyUSB0", "Serial port of the servo bus."),
-        Parameter("baud_rate", 1_000_000, "Bits per second; the servos must be set to the same."),
-        Parameter("rate", 100.0, "Cycles per second [Hz]: 40 as in the paper, 100 or more where the bus allows.", 1.0, 1000.0),
-        Parameter("joints", [], "Order of the joints in commands without labels; empty: the robot file's."),
-        Parameter("command_timeout", _D.command_timeout_s, "`on_timeout` after so long without a current command [s].", 0.01, 5.0),
-        Parameter("on_timeout", _D.on_timeout, "hold: a driven joint is held where it is; zero: it is left without current.",
-                  choices=ENDS),
-        Parameter("on_shutdown", "zero", "zero: current zero and torque off at the end; hold: the servos keep their position.",
-                  choices=ENDS),
-        Parameter("watchdog", _D.watchdog_s, "The servos stop after so much silence on the bus [s]; 0: never.", 0.0, 2.54),
-        Parameter("limit_margin", _D.limit_margin_rad, "A joint is not driven nearer to its limit [rad].", 0.0, 0.5),
-        Parameter("min_clearance", _D.min_clearance_m, "Nothing that can be lowered is brought nearer to the base's plane, the "
-                  "table [m]; -10 where the arm hangs below its base.", -10.0, 1.0),
-        Parameter("max_velocity", _D.max_velocity_rad_s, "A driven joint that turns faster is braked [rad/s].", 0.1, 20.0),
-        Parameter("max_goal_velocity", _D.max_goal_velocity_rad_s, "Goal positions are followed no faster [rad/s].", 0.01, 5.0),
-        Parameter("max_temperature", _D.max_temperature_C, "No currents above this temperature of the motor [deg C].", 20.0, 80.0),
-        Parameter("max_jump", _D.max_jump_rad, "A position that jumps further is an encoder fault [rad].", 0.05, 3.0),
-        Parameter("position_d_gain", _D.position_d_gain, "Register value that damps locked joints.", 0, 16383),
-        Parameter("reply_timeout", 0.02, "How long a servo may take to answer [s].", 0.001, 0.2),
-        Parameter("fast_sync_read", True, "Read all servos in one packet where their firmware (45 or newer) knows it."),
-        Parameter("reconnect_period", _D.reconnect_s, "A lost bus is tried again so often [s].", 0.05, 60.0),
-    )  # fmt: skip
-
+    parameters = DRIVER
     real_time = True
 
     def __init__(self, **kwargs: Any) -> None:

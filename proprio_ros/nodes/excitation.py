@@ -19,24 +19,21 @@ from std_srvs.srv import Trigger
 from proprio_ros import clock
 from proprio_ros.errors import ConfigurationError, ProprioError
 from proprio_ros.excitation.commands import Command, JointSample, JointStates
-from proprio_ros.excitation.effort_controller import UNITS
 from proprio_ros.excitation.guards import Guards
-from proprio_ros.excitation.hold import HoldGains
 from proprio_ros.excitation.machine import ExcitationMachine, Phase
 from proprio_ros.excitation.plans import load_sequence
 from proprio_ros.nodes import messages
 from proprio_ros.nodes.last_words import LAST_WORDS_S, LastWords
 from proprio_ros.nodes.managed_node import IDLE_PAUSE_S, ManagedNode
 from proprio_ros.nodes.outputs import ControllerOutput, DriverOutput, Output, controller_of
-from proprio_ros.nodes.parameters import INPUT_TOPICS, ROBOT, Parameter, fields_stated, value_of
+from proprio_ros.nodes.parameters import value_of
 from proprio_ros.nodes.process import run_node
 from proprio_ros.nodes.qos import COMMANDS, LATCHED, STREAM
 from proprio_ros.nodes.services import LongService
 from proprio_ros.nodes.switching import SwitchedRuns, switching_of
+from proprio_ros.nodes.tables import DEFAULT_PROBE, EXCITATION, INPUT_TOPICS, fields_stated
 from proprio_ros.recordings.description import robot_named
 
-_G = Guards()
-_H = HoldGains()
 # at rest, too: who missed the last word of a sequence waits for the next
 STATUS_PERIOD_S = 0.1
 REST_PERIOD_S = 1.0
@@ -52,10 +49,6 @@ DRIVER_SILENT_S = 3.0
 STREAMS = 6
 HOLD_PAUSE_S = 0.002
 """Between two wake-ups while efforts hold the arm: at 500 joint states a second each would have its own, and take a core."""
-INTERFACES = ("driver", *INPUT_TOPICS)
-"""What takes the commands: this package's driver, or an effort or position controller."""
-ENDS = ("hold", "zero")
-DEFAULT_PROBE = "payload"
 BLIND_PATIENCE = 3.0
 """Times `stale_after`: a sequence that is held by efforts waits no longer for joint states, for nobody sees the arm meanwhile."""
 LIMP = ("stopped", "released", "inactive")
@@ -65,35 +58,7 @@ LIMP = ("stopped", "released", "inactive")
 class ExcitationNode(ManagedNode):
     """Joint states in, current and position commands out, by the state machine."""
 
-    parameters = (
-        ROBOT,
-        Parameter("probe", DEFAULT_PROBE, "Sequence that ~/run makes: a name of config/probes, or a file.", dynamic=True),
-        Parameter("limit_margin", _G.limit_margin_rad, "Room left before a joint's limit during a run [rad].", 0.0, 0.5),
-        Parameter("max_velocity", _G.max_velocity_rad_s, "A run ends when a joint is faster [rad/s].", 0.1, 20.0),
-        Parameter("stale_after", _G.stale_after_s, "Joint states further apart end the sequence [s].", 0.02, 5.0),
-        Parameter("follow_error", _G.follow_error_rad, "A joint may be off its goal by so much [rad].", 0.01, 1.0),
-        Parameter("held_joint_error", _G.held_joint_error_rad, "A locked joint may give way by so much [rad].", 0.01, 1.0),
-        Parameter("max_jump", _G.max_jump_rad, "A position that jumps further ends the sequence [rad].", 0.05, 3.0),
-        Parameter("command_interface", "driver",
-                  "What takes the commands. driver: this package's; effort: an effort controller of ros2_control, which this node "
-                  "then has hold the arm; position: a position controller, for servos that know no current.", choices=INTERFACES),
-        Parameter("input_topic", "",
-                  "Where that controller listens; empty: /forward_effort_controller/commands or /position_controller/commands."),
-        Parameter("controller_joints", [], "That controller's `joints`, in its order."),
-        Parameter("controller_manager", "",
-                  "Name of the controller_manager that switches to that controller for each sequence, and back; empty: nobody "
-                  "switches."),
-        Parameter("activate_controller", "", "That controller; empty: as input_topic names it."),
-        Parameter("deactivate_controllers", [], "Controllers that have the joints else; active again after each sequence."),
-        Parameter("effort_unit", "N.m", "What the drive takes an effort for: N.m (current x nominal torque constant), or A.",
-                  choices=UNITS),
-        Parameter("hold_frequency", _H.frequency_rad_s,
-                  "How stiffly efforts hold a joint: frequency of spring and inertia [rad/s], at most a tenth of the joint states' "
-                  "rate.", 3.0, 25.0),
-        Parameter("on_end", "hold",
-                  "Last efforts when the node ends, which the controller keeps. hold: what held the arm; zero: it comes down. "
-                  "Goals always hold.", choices=ENDS),
-    )  # fmt: skip
+    parameters = EXCITATION
 
     real_time = True
 

@@ -16,8 +16,9 @@ from proprio_ros import clock
 from proprio_ros.clock import run_in_real_time
 from proprio_ros.errors import ProprioError
 from proprio_ros.nodes.listening import Listener, never
-from proprio_ros.nodes.parameters import AUTOSTART, Parameter, declare
+from proprio_ros.nodes.parameters import declare
 from proprio_ros.nodes.qos import CALLS
+from proprio_ros.nodes.tables import AUTOSTART, Parameter
 from proprio_ros.nodes.turns import Turns
 
 NOT_GRANTED = (

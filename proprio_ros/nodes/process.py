@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import re
 import signal
 import sys
 import threading
@@ -15,7 +16,7 @@ from rclpy.lifecycle import TransitionCallbackReturn
 from rclpy.signals import SignalHandlerOptions
 
 from proprio_ros import clock
-from proprio_ros.errors import ProprioError
+from proprio_ros.errors import ProprioError, one_line
 from proprio_ros.nodes import middleware
 from proprio_ros.nodes.managed_node import ManagedNode
 
@@ -38,13 +39,25 @@ def run_node(make: Callable[[], ManagedNode], arguments: Sequence[str] | None = 
     sys.setswitchinterval(SWITCH_INTERVAL_S)
     ended = clock.event()
     middleware.prepare()
-    rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
+    try:
+        rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
+    except RuntimeError as error:  # words after --ros-args that rcl does not understand, or a file that it cannot read
+        logging.getLogger("proprio_ros").error("not started: %s", one_line(_said_by_rcl(error)))
+        return CANNOT_START
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: ended.set())
     try:
         return live(make, ended)
     finally:
         rclpy.try_shutdown()
+
+
+def _said_by_rcl(error: RuntimeError) -> str:
+    """Without the places in rcl's own source."""
+    words = re.sub(r", at /\S+", "", str(error))
+    if type(error).__name__ == "UnknownROSArgsError":
+        return f"unknown words after --ros-args: {words}; write -p NAME:=VALUE, --params-file FILE or -r __ns:=/NAME"
+    return words.removeprefix("failed to initialize rcl: ")
 
 
 def live(make: Callable[[], ManagedNode], ended: clock.Event) -> int:

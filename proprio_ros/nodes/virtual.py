@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tempfile
 from array import array
 from pathlib import Path
 from typing import Any
@@ -19,20 +18,16 @@ from proprio_ros.clock import Pacer
 from proprio_ros.errors import ConfigurationError, ProprioError
 from proprio_ros.nodes import messages
 from proprio_ros.nodes.managed_node import ManagedNode
-from proprio_ros.nodes.parameters import INPUT_TOPICS, ROBOT, Parameter
 from proprio_ros.nodes.process import run_node
 from proprio_ros.nodes.qos import FROM_MANY, LATCHED, STREAM
-from proprio_ros.probes import virtual_object, virtual_objects
+from proprio_ros.nodes.tables import CONTROLLERS, VIRTUAL
+from proprio_ros.probes import virtual_object
 from proprio_ros.recordings.description import robot_named
-from proprio_ros.virtual.effort_driver import UNITS, EffortDriver, PositionDriver
+from proprio_ros.virtual.effort_driver import EffortDriver, PositionDriver
 from proprio_ros.virtual.model import import_mujoco
 from proprio_ros.virtual.objects import Payload
 from proprio_ros.virtual.robot import VirtualRobot
 from proprio_ros.virtual.truth import Truth
-
-CONTROLLERS = {f"{kind}_controller": topic for kind, topic in INPUT_TOPICS.items()}
-INTERFACES = ("bus", *CONTROLLERS)
-DEFAULT_LINK = str(Path(tempfile.gettempdir()) / "proprio_virtual")
 
 
 class _Polled(CallbackGroup):
@@ -50,26 +45,7 @@ class _Polled(CallbackGroup):
 class VirtualNode(ManagedNode):
     """Opens a pseudo-terminal with servos and an arm behind it; or is an arm with a controller, as in `ros2_control`."""
 
-    parameters = (
-        ROBOT,
-        Parameter("link", DEFAULT_LINK, "Path under which the servo bus appears; the driver's `port`."),
-        Parameter("interface", "bus",
-                  "What drives the arm. bus: the servo bus; effort_controller: efforts on a topic, as ros2_control takes them, "
-                  "the last of which stays; position_controller: likewise goals, for position servos.", choices=INTERFACES),
-        Parameter("input_topic", "",
-                  "Of the controller; empty: /forward_effort_controller/commands or /position_controller/commands."),
-        Parameter("controller_joints", [], "Of the controller, in its order; empty: the robot file's."),
-        Parameter("state_rate", 500.0, "Of the joint states that come with a controller [Hz].", 20.0, 1000.0),
-        Parameter("effort_unit", "N.m", "What an effort is: N.m (current x nominal torque constant), or A.", choices=UNITS),
-        Parameter("object", "none",
-                  ", ".join(["What the hand holds in a probe: 0.05 (kg)", *(f"{each.kind}:.." for each in virtual_objects())]),
-                  dynamic=True, loose=True),
-        Parameter("reference", 0.1, "Mass of the reference object [kg].", 0.001, 2.0, dynamic=True),
-        Parameter("seed", 1, "Draws the arm's hidden numbers from what its file leaves open; -1: the file's.", -1, 2**31 - 1),
-        Parameter("links", False, "Whether the links, too, differ from the URDF."),
-        Parameter("truth", "", "File with the hidden numbers, instead of seed and links."),
-        Parameter("fault", "", "drop=P, corrupt=P, hang=JOINT, overheat=JOINT, jump=JOINT or unplug.", dynamic=True),
-    )  # fmt: skip
+    parameters = VIRTUAL
 
     real_time = True  # servos do not wait for other programs either
 

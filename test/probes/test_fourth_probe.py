@@ -173,9 +173,9 @@ def test_the_identifier_has_a_service_for_it(registered: None) -> None:
     """In a process of its own, as the node is; and one for its baseline."""
     pytest.importorskip("rclpy")
     code = (
-        "from proprio_ros.nodes.identifier import IdentifierNode, services\n"
+        "from proprio_ros.nodes.identifier import IdentifierNode, jobs\n"
         "names = [parameter.name for parameter in IdentifierNode.parameters]\n"
-        "print(services()['spring'], services()['spring_baseline'], {'spring_sequence', 'spring_baseline'} <= set(names))"
+        "print(jobs()['spring'], jobs()['spring_baseline'], {'spring_sequence', 'spring_baseline'} <= set(names))"
     )
     said = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, check=True
