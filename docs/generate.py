@@ -118,6 +118,8 @@ def _commands(
     ]:
         helps = {choice.dest: choice.help for choice in group._choices_actions}
         for name, command in group.choices.items():
+            if name not in helps:  # an alias
+                continue
             inner = dict(_commands(command, f"{before}{name} "))
             yield from inner.items() if inner else [(f"{before}{name}", (helps[name], command))]
 

@@ -19,14 +19,17 @@ from proprio_ros.version import __version__
 
 if TYPE_CHECKING:
     from proprio_ros.pipeline.api import calibrate, check, plan, weigh
+    from proprio_ros.pipeline.api import weigh as replay
 
-__all__ = ["__version__", "calibrate", "check", "plan", "weigh"]
+__all__ = ["__version__", "calibrate", "check", "plan", "replay", "weigh"]
+ALIASES = {"replay": "weigh"}
+"""Names of a call by which the command line knows it."""
 
 
 def __getattr__(name: str) -> Any:
     """The calls for scripts and notebooks, loaded with all they need when they are first asked for."""
     if name in __all__:
-        return getattr(import_module("proprio_ros.pipeline.api"), name)
+        return getattr(import_module("proprio_ros.pipeline.api"), ALIASES.get(name, name))
     # what Python itself asks for is nobody's call
     if not name.startswith("_") and name in registry.calls():
         return registry.loaded(registry.calls()[name])

@@ -12,6 +12,7 @@ from collections.abc import Iterable
 
 # Characters of a message; with the command's name before it, it stays below 300.
 LONGEST_SENTENCE = 290
+LONGEST_WORD = 60  # of a message that is cut; what is longer may be cut inside
 
 
 def printable(text: str) -> str:
@@ -33,8 +34,15 @@ def one_line(text: str, longest: int = LONGEST_SENTENCE) -> str:
     text = printable(text)
     if len(text) <= longest:
         return text
-    head = (longest - 5) * 2 // 3
-    return f"{text[:head]} ... {text[head + 5 - longest :]}"
+    begin = (longest - 5) * 2 // 3
+    head = text[:begin]
+    tail = text[begin + 5 - longest :]
+    # no word is cut, and no name of a list, unless it is longer than any name
+    if text[begin] != " " and " " in head[-LONGEST_WORD:]:
+        head = head[: head.rindex(" ")]
+    if text[begin + 4 - longest] != " " and " " in tail[:LONGEST_WORD]:
+        tail = tail[tail.index(" ") + 1 :]
+    return f"{head.rstrip()} ... {tail.lstrip()}"
 
 
 class ProprioError(Exception):

@@ -9,6 +9,7 @@ MODULES: dict[str, tuple[str, ...]] = {
     # values and conventions of every room
     "": (
         "errors",
+        "installed",
         "kinds",
         "quantity",
         "records",

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 
 from proprio_ros.errors import RobotError
 
+_MARKS = re.compile(r"[\s.*·⋅_-]")
 Z95 = 1.959963984540054  # Half width of a 95 % interval in standard deviations (normal).
 
 
@@ -20,6 +22,8 @@ class Unit:
     in_si: float = 1.0  # how much of that one of it is
     digits: str = ""  # how a reader is shown a number of it
     called: tuple[str, ...] = ()  # what options, driver profiles and data sets call it
+    # how else people write it, in small letters and without marks between words (see `unit_called`)
+    also: tuple[str, ...] = ()
     # a driver's numbers that are so many times off at most may be of it, where nobody says what they are
     within: float = 4.0
 
@@ -57,23 +61,56 @@ def _called(*units: Unit) -> dict[str, Unit]:
 
 
 POSITIONS: Mapping[str, Unit] = _called(
-    Unit("rad", "rad", called=("rad",)),
-    Unit("degree", "rad", math.pi / 180.0, called=("degree", "deg")),
+    Unit("rad", "rad", called=("rad",), also=("radian", "radians")),
+    Unit(
+        "degree",
+        "rad",
+        math.pi / 180.0,
+        called=("degree", "deg"),
+        also=("deg", "degree", "degrees", "°"),
+    ),
 )
 """What a driver's positions may be in, by what it is called."""
 
 NEAR_OTHERS = 1.5
 """Per mille of a motor's rating lie near mA and raw counts."""
-COUNT = Unit("count", "A", 2.69e-3, called=("raw",), within=NEAR_OTHERS)
+COUNT = Unit("count", "A", 2.69e-3, called=("raw",), also=("count", "counts"), within=NEAR_OTHERS)
 """A count of Present Current of the XM430-W350 (ROBOTIS e-manual, control table, register 126); of other motors it differs."""
 
+_NEWTON_METRE = (
+    *("newtonmetre", "newtonmetres", "newtonmeter", "newtonmeters"),
+    *("n", "newton", "newtons"),  # of a joint that slides
+)
+_MILLIAMPERE = ("milliamp", "milliamps", "milliampere", "milliamperes")
+
 EFFORTS: Mapping[str, Unit] = _called(
-    Unit("N m", "N m", called=("N.m",)),
-    Unit("A", "A", called=("A",)),
-    Unit("mA", "A", 1e-3, called=("mA",), within=NEAR_OTHERS),
+    Unit("N m", "N m", called=("N.m",), also=_NEWTON_METRE),
+    Unit("A", "A", called=("A",), also=("amp", "amps", "ampere", "amperes")),
+    Unit("mA", "A", 1e-3, called=("mA",), also=_MILLIAMPERE, within=NEAR_OTHERS),
     COUNT,
 )
 """What `effort` of a foreign bag may mean; the message definition says N m (N for a slide), many drivers differ."""
+
+
+def unit_called(text: str, units: Mapping[str, Unit]) -> str:
+    """The name by which a unit is known here, of how people write it: ``N*m``, ``Nm`` and ``Newton-metre`` are ``N.m``.
+
+    Args:
+        text: As it was written.
+        units: That may be meant, by their names.
+
+    Returns:
+        Its name; the text as it is where none is meant.
+    """
+    if text in units:
+        return text
+    plain = _MARKS.sub("", text).lower()
+    names = [
+        name
+        for name, unit in units.items()
+        if plain == _MARKS.sub("", name).lower() or plain in unit.also
+    ]
+    return names[0] if names else text
 
 
 def shown_unit(unit: str) -> tuple[float, str]:

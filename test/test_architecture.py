@@ -18,6 +18,7 @@ PACKAGE = Path(__file__).resolve().parents[1] / "proprio_ros"
 BASE = {
     "version",
     "errors",
+    "installed",
     "records",
     "quantity",
     "kinds",

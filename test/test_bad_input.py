@@ -114,6 +114,16 @@ def test_a_sentence_is_one_short_printable_line() -> None:
     assert one_line("short") == "short" and str(ProprioError()) == ""
 
 
+@pytest.mark.parametrize("count", range(40, 60))
+def test_a_list_that_is_too_long_is_cut_between_its_names(count: int) -> None:
+    names = [f"left_arm_joint_{number}" for number in range(count)]
+    line = one_line(f"joint 'elbow' is unknown; the robot has: {', '.join(names)}")
+    assert len(line) <= LONGEST_SENTENCE
+    head, _, tail = line.partition(" ... ")
+    shown = [word.strip(",") for word in (head.partition("has: ")[2] + " " + tail).split()]
+    assert set(shown) <= set(names) and len(shown) > 10
+
+
 def test_names_of_others_cannot_speak() -> None:
     for name in ("joint\naccepted 1 g", "j\x1b[2J", "j" * 10**6):
         with pytest.raises(RecordingError, match="is no name of a joint"):

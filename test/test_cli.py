@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+import proprio_ros
 from proprio_ros.cli import main
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -78,7 +79,10 @@ def test_text_and_report(
         ([BAG, "--set", "payload.colour=red"], "unknown; valid keys"),
         ([BAG, "--state-topic", "/joints"], "/joint_states"),
         ([BAG, "--command-topic", "/joints"], "/current_command"),
-        ([BAG, "--calibration", "robot.yaml"], "there is no robot file robot.yaml"),
+        (
+            [BAG, "--calibration", "robot.yaml"],
+            "--calibration robot.yaml: there is no such calibration",
+        ),
         ([BAG, "--report", "/nowhere/page.html"], "exists and is writable"),
         (
             [BAG, "--set", "payload.size=0.03", "--set", "payload.size=0.04"],
@@ -96,6 +100,15 @@ def test_mistakes_get_one_line(
     assert main(["replay", *arguments, "--probe", "payload"]) == 2
     lines = capsys.readouterr().err.strip().splitlines()
     assert len(lines) == 1 and lines[0].startswith("proprio: ") and words in lines[0]
+
+
+def test_weigh_is_another_name_of_replay(capsys: pytest.CaptureFixture[str]) -> None:
+    assert proprio_ros.replay is proprio_ros.weigh
+    said = []
+    for verb in ("replay", "weigh"):
+        assert main([verb, STUCK, "--probe", "payload"]) == 3
+        said.append(capsys.readouterr().out)
+    assert said[0] == said[1]
 
 
 @pytest.mark.parametrize(

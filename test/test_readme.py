@@ -3,9 +3,12 @@ a URDF of three, six or seven joints that is not in it."""
 
 from __future__ import annotations
 
+import itertools
 import json
 import re
 import shlex
+import shutil
+import subprocess
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -82,6 +85,26 @@ def test_the_recordings_of_the_repository_give_what_the_readme_says(
         f"says {mass} g, {low} to {high} g; without `--calibration` it says {wide.replace('..', 'to')} g"
         in stated
     )
+
+
+def test_commands_write_different_files_that_git_does_not_ask_about() -> None:
+    written = [
+        word
+        for title in ("**Offline**", "**Any other arm")
+        for words in commands(title)
+        for flag, word in itertools.pairwise(words)
+        if flag in ("--output", "--report")
+    ]
+    assert len(written) == len(set(written)) == 4
+    if shutil.which("git") is None or not (README.parent / ".git").exists():
+        pytest.skip("no clone")
+    asked = ["git", "check-ignore", *written]
+    ignored = subprocess.run(asked, cwd=README.parent, capture_output=True, text=True).stdout
+    assert ignored.split() == written
+    tracked = subprocess.run(
+        ["git", "ls-files", "-ci", "--exclude-standard"], cwd=README.parent, capture_output=True
+    )
+    assert tracked.stdout == b"", "what is kept is not ignored"
 
 
 def test_another_arm_is_weighed_by_the_commands_of_the_readme(

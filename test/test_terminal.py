@@ -70,7 +70,10 @@ def test_a_terminal_gets_colours_and_lines_that_fit(capsys: pytest.CaptureFixtur
         re.sub(r"\033\[\d+m", "", seen),
     ):
         assert "\033" not in dull and max(map(len, dull.splitlines())) <= 90
-        assert dull.split() == piped.split(), "the words stay"
+        assert dull.replace("±", "+-").split() == piped.split(), "the words stay"
+    assert "±50 %" in seen and "+-" not in seen
+    plain = on_terminal("replay", PUSH, "--probe", "payload", PYTHONIOENCODING="ascii")
+    assert "+-50 %" in plain
 
 
 def test_several_answers_are_a_table_and_errors_are_wrapped() -> None:

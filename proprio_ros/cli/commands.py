@@ -28,6 +28,7 @@ from proprio_ros.errors import ConfigurationError, one_line, printable, some
 from proprio_ros.inputs.reading import path_problem
 from proprio_ros.inputs.resources import check_page
 from proprio_ros.inputs.settings import parse_settings
+from proprio_ros.installed import to_install
 from proprio_ros.probes import all_probes, probe_named, probe_that
 from proprio_ros.probes.base import HasTable
 from proprio_ros.quantity import shown
@@ -313,9 +314,7 @@ def demo(options: argparse.Namespace, given: Sequence[str]) -> int:
     try:
         from proprio_ros.nodes.demo import demo
     except ModuleNotFoundError as error:
-        raise ConfigurationError(
-            f"{error.name} is missing: install ROS 2 with pip install -e '.[ros,sim]', or source ROS 2 Jazzy"
-        ) from error
+        raise ConfigurationError(_missing_for_a_demo(str(error.name))) from error
     robot = options.robot or "open_manipulator_x"
     how = {
         "folder": Path(options.output),
@@ -331,6 +330,13 @@ def demo(options: argparse.Namespace, given: Sequence[str]) -> int:
     if result.report is not None:
         print(f"report: {result.report}")
     return EXIT_OK if result.accepted else EXIT_NO_ANSWER
+
+
+def _missing_for_a_demo(name: str) -> str:
+    """What to do about a module that is not there: ROS from apt is sourced, and never mixed with its wheels."""
+    if name != "mujoco" and Path("/opt/ros").is_dir():
+        return f"{name} is missing: source /opt/ros/jazzy/setup.bash first"
+    return f"{name} is missing: {to_install('ros,sim')}"
 
 
 def _references(pairs: Sequence[str]) -> dict[str | Path, float]:

@@ -14,6 +14,7 @@ from proprio_ros.cli.terminal import EXIT_BAD_INPUT
 from proprio_ros.errors import one_line
 from proprio_ros.probes import all_probes, probe_that
 from proprio_ros.probes.base import Carries, HasSolvers
+from proprio_ros.quantity import EFFORTS, unit_called
 from proprio_ros.version import __version__
 
 EXIT_CODES = "Exit code: 0 accepted, 2 bad input, 3 rejected, not identifiable or too wide."
@@ -40,6 +41,7 @@ SHARED: dict[str, dict[str, Any]] = {
     "state-topic": {"metavar": "T"},
     "command-topic": {"metavar": "T"},
     "effort-unit": {
+        "type": lambda text: unit_called(text, EFFORTS),
         "choices": ("N.m", "A", "mA", "raw"),
         "help": "what `effort` of the joint states means; never guessed",
     },
@@ -119,9 +121,11 @@ def make_parser() -> argparse.ArgumentParser:
 def _replay(add: Callable[..., Parser]) -> None:
     it = add(
         "replay",
+        aliases=["weigh"],
         command=obey.replay,
         help="identify from recorded bags",
-        description="Identify what the hand holds from recorded bags (sqlite3 or MCAP). Several bags give one pooled estimate.",
+        description="Identify what the hand holds from recorded bags (sqlite3 or MCAP). Several bags give one pooled estimate. "
+        "`proprio weigh` is the same command.",
         epilog=EXIT_CODES,
     )
     folders = "bag folder or file, or a folder with trajectory.csv, setting.json"

@@ -83,6 +83,7 @@ def laid_out(line: str, stream: Any) -> str:
     """
     if stream is None or not stream.isatty():
         return line
+    line = _with_signs(line, stream)
     width = shutil.get_terminal_size().columns
     indent = " " * (len(line) - len(line.lstrip()) + 4)
     if len(line) > width >= NARROWEST:
@@ -97,6 +98,15 @@ def laid_out(line: str, stream: Any) -> str:
         if found is not None:
             return f"\033[{colour}m{found[0]}\033[0m{line[found.end() :]}"
     return line
+
+
+def _with_signs(line: str, stream: Any) -> str:
+    """With ``±`` for ``+-``, where the stream can show it."""
+    try:
+        "±".encode(stream.encoding or "ascii")
+    except (LookupError, UnicodeEncodeError):
+        return line
+    return line.replace("+-", "±")
 
 
 def complain(sentence: str) -> None:

@@ -10,6 +10,7 @@ import numpy as np
 
 from proprio_ros.errors import ConfigurationError
 from proprio_ros.identification.unknowns import Coordinates
+from proprio_ros.installed import to_install
 
 SOLVERS = ("lm", "adam", "cma")
 WINDOWS = (0.25, 0.5, 0.75, 1.0)
@@ -370,7 +371,7 @@ def cma_library() -> Any:
         import cma as library
     except ImportError as error:
         raise ConfigurationError(
-            "CMA-ES needs the package cma: pip install 'proprio_ros[cma]', or use --solver lm"
+            f"CMA-ES needs the package cma: {to_install('cma')}, or use --solver lm"
         ) from error
     return library
 

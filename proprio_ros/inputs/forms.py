@@ -17,6 +17,7 @@ from reprlib import Repr
 from typing import Any
 
 from proprio_ros.inputs.reading import finite
+from proprio_ros.quantity import Unit, unit_called
 
 _REPR = Repr()
 _REPR.maxstring = _REPR.maxother = _REPR.maxlong = 60
@@ -195,8 +196,13 @@ class Choice(Form):
     """One of some words."""
 
     words: Sequence[str] = ()
+    units: Mapping[str, Unit] | None = (
+        None  # whose names the words are, where people write them otherwise, too
+    )
 
     def read(self, value: Any) -> str:
+        if self.units is not None and isinstance(value, str):
+            value = unit_called(value, self.units)
         if not isinstance(value, str) or value not in self.words:
             raise FormError(f"{shortly(value)} is unknown: choose one of {', '.join(self.words)}")
         return value

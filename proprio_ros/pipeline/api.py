@@ -81,6 +81,13 @@ class _Answered:
         return self.estimate.reasons
 
 
+def _refuse_to_replace(path: Path, force: bool) -> None:
+    if path.exists() and not force:
+        raise ConfigurationError(
+            f"{path}: is there already; force=True replaces it, or name another file"
+        )
+
+
 @dataclass(frozen=True, repr=False)
 class Weighing(_Answered):
     """What the hand holds."""
@@ -159,7 +166,11 @@ class Weighing(_Answered):
         )
 
     def report(self, path: AnyPath, force: bool = False) -> Path:
-        """Write the HTML page, or raise ConfigurationError; returns the file. What is no page is replaced only with ``force``."""
+        """Write the HTML page; returns the file.
+
+        Raises `ConfigurationError`: It cannot be written, or there is such a file and ``force`` does not say that it may go.
+        """
+        _refuse_to_replace(Path(path), force)
         write_report(
             self.estimate,
             Path(path),
@@ -227,7 +238,11 @@ class CalibrationResult(_Answered, os.PathLike[str]):
         return frame(columns, rows)
 
     def report(self, path: AnyPath, force: bool = False) -> Path:
-        """Write the HTML page, or raise ConfigurationError; returns the file. What is no page is replaced only with ``force``."""
+        """Write the HTML page; returns the file.
+
+        Raises `ConfigurationError`: It cannot be written, or there is such a file and ``force`` does not say that it may go.
+        """
+        _refuse_to_replace(Path(path), force)
         origin = self.estimate.origin
         sources = [
             *origin["bags"],

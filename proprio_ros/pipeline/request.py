@@ -18,6 +18,7 @@ from proprio_ros.inputs.forms import Number
 from proprio_ros.inputs.settings import Settings, read
 from proprio_ros.probes import all_probes, probe_named
 from proprio_ros.probes.base import Probe
+from proprio_ros.quantity import EFFORTS, unit_called
 from proprio_ros.recordings.description import robot_named
 from proprio_ros.recordings.drivers import Driver, load_driver
 from proprio_ros.recordings.effort import Effort
@@ -55,6 +56,10 @@ class Options:
     # profile of the driver that published; topics and unit that are stated beside it win
     driver: str | Path | None = None
     span: Span | None = None  # the part of each recording that is read; of a baseline all is
+
+    def __post_init__(self) -> None:
+        if self.effort_unit is not None:
+            object.__setattr__(self, "effort_unit", unit_called(self.effort_unit, EFFORTS))
 
     def for_recordings(self, paths: Sequence[str | Path]) -> Options:
         """The same with the robot of the paper's public example, where all are texts and none is stated."""
@@ -271,6 +276,9 @@ def _calibrated(
     given = f"--calibration {calibration}"
     if Path(calibration).suffix not in (".yaml", ".yml"):
         raise RobotError("expected the .yaml file that `proprio calibrate --output` wrote", given)
+    if not Path(calibration).exists():
+        written = "`proprio calibrate EMPTY_BAG .. --output FILE.yaml` writes one"
+        raise RobotError(f"there is no such calibration; {written}", given)
     robot = robot_named(calibration, overrides)
     if (
         robot.calibration is None

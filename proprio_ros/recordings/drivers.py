@@ -27,7 +27,7 @@ from proprio_ros.inputs.forms import (
 )
 from proprio_ros.inputs.reading import path_problem, yaml_file
 from proprio_ros.inputs.resources import resource, resource_names
-from proprio_ros.quantity import POSITIONS
+from proprio_ros.quantity import EFFORTS, POSITIONS, Unit
 from proprio_ros.recordings.effort import EFFORT_UNITS
 from proprio_ros.recordings.read_options import POSITION_UNITS, Columns
 from proprio_ros.recordings.topics import FLOAT_ARRAYS, JOINT_STATE, Conventions, InputTopic
@@ -77,10 +77,15 @@ def _names(value: Any) -> dict[str, str]:
     return names
 
 
+def _positions(*names: str) -> dict[str, Unit]:
+    """Units of positions by the names that one file has for them."""
+    return {name: POSITIONS[name] for name in names}
+
+
 INPUT: dict[str, Form] = {
     "topic": _Topic("required"),
     "type": Choice("required; of a JointState its effort counts", tuple(_TYPES)),
-    "unit": Choice("required; of its numbers", EFFORT_UNITS),
+    "unit": Choice("required; of its numbers", EFFORT_UNITS, EFFORTS),
     "joints": _Texts(
         "order of numbers that come without names; left out: the robot file's order", _NAME
     ),
@@ -112,7 +117,9 @@ def _input(value: Any) -> InputTopic:
 
 COLUMNS: dict[str, Form] = {
     "position": Text("column of the joint positions; default observation.state"),
-    "position_unit": Choice("required; of the positions and goals", POSITION_UNITS),
+    "position_unit": Choice(
+        "required; of the positions and goals", POSITION_UNITS, _positions(*POSITION_UNITS)
+    ),
     "effort": Text(
         "column of measured effort; default observation.effort. Where there is none, entries of the positions' column that end in "
         ".torque, .effort or .current count"
@@ -141,11 +148,12 @@ FORMS: dict[str, Form] = {
     "states": _Topic("topic of the joint states, in any namespace; default joint_states"),
     "effort_unit": Perhaps(
         "what effort of the joint states is; null: the profile does not say, so that `--effort-unit` or the robot file must",
-        Choice(words=EFFORT_UNITS),
+        Choice(words=EFFORT_UNITS, units=EFFORTS),
     ),
     "position_unit": Choice(
         "of positions and velocities, goals among them; default rad. Degrees are read from bags, not live",
         ("rad", "degree"),
+        _positions("rad", "degree"),
     ),
     "inputs": Part(
         "what drives the joints: the first that a bag has, else measured effort; default none",

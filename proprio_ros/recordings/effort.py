@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from proprio_ros.errors import ConfigurationError
-from proprio_ros.quantity import COUNT, EFFORTS
+from proprio_ros.quantity import COUNT, EFFORTS, unit_called
 from proprio_ros.records import MEASURED_EFFORT, FloatArray, InputRecord, JointRecord, TimeArray
 
 EFFORT_UNITS = tuple(EFFORTS)
@@ -56,6 +56,8 @@ class Effort:
     per_count_A: float = CURRENT_PER_COUNT_A  # current of one raw count [A]
 
     def __post_init__(self) -> None:
+        if self.unit is not None:
+            object.__setattr__(self, "unit", unit_called(self.unit, EFFORTS))
         if self.unit is not None and self.unit not in EFFORT_UNITS:
             raise ConfigurationError(
                 f"effort unit {self.unit!r} is not known; choose from {', '.join(EFFORT_UNITS)}"

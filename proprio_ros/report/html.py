@@ -119,11 +119,8 @@ def provenance(
 
 def bulleted(sentences: Sequence[str]) -> list[str]:
     """Sentences as a list, or nothing."""
-    return (
-        ["<ul>" + "".join(f"<li>{escape(sentence)}</li>" for sentence in sentences) + "</ul>"]
-        if sentences
-        else []
-    )
+    items = [escape(sentence).replace("+-", "±") for sentence in sentences]
+    return ["<ul>" + "".join(f"<li>{item}</li>" for item in items) + "</ul>"] if items else []
 
 
 def listed(title: str, sentences: Sequence[str]) -> list[str]:

@@ -159,6 +159,13 @@ class JointSimulator:
         """What moves, with so many tangents, where friction may rise towards standstill or not."""
         return joint_law(size, stribeck)
 
+    def usual_kernels(self) -> list[Any]:
+        """All that fits of this law may need, as `compile_kernels` compiles them ahead."""
+        most = next(size for size in self.tangent_sizes if size >= len(self.parameters))
+        sizes = [size for size in self.tangent_sizes if size <= most]
+        kinds = kinds_of_kernel(sizes, True)
+        return [rollout(self.law_of(*kind), self.integrator) for kind in kinds]
+
     def law_data(self) -> Any:
         """The law's struct of what is known about the runs."""
         data = JointData()
@@ -360,6 +367,7 @@ class _Launch:
             inputs=inputs,
             outputs=[out],
             device="cpu",
+            others=owner.usual_kernels,
             record_cmd=True,
         )
         # on the CPU a Warp array is the host's own memory: written and read in place, without a copy

@@ -21,6 +21,7 @@ from scipy.sparse.csgraph import connected_components
 
 from proprio_ros.errors import ConfigurationError
 from proprio_ros.inputs.reading import path_problem
+from proprio_ros.installed import to_install
 
 # cells along one axis; 64^3 are 1.3 million tetrahedra, far more than is ever needed
 MAX_CELLS = 64
@@ -239,7 +240,7 @@ def read_mesh(path: Path, scale: float = 1.0) -> TetMesh:
         import meshio
     except ImportError as error:
         raise ConfigurationError(
-            "a block from a mesh file needs the package meshio: pip install 'proprio_ros[mesh]', or give block.size"
+            f"a block from a mesh file needs the package meshio: {to_install('mesh')}, or give block.size"
         ) from error
     if path_problem(path) or not Path(path).is_file():
         raise ConfigurationError(f"{path}: no such mesh file")

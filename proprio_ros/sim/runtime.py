@@ -5,7 +5,7 @@ from __future__ import annotations
 import ctypes
 import os
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, nullcontext
 from functools import partial
@@ -72,15 +72,33 @@ def load(kernels: Sequence[Any], device: Any) -> None:
         _load(kernel.module, device)
 
 
-def launch(kernel: Any, *, device: Any, **given: Any) -> Any:
+def launch(
+    kernel: Any,
+    *,
+    device: Any,
+    others: Callable[[], Sequence[Any]] = lambda: (),
+    **given: Any,
+) -> Any:
     """``wp.launch``, which first says so where the kernel has to be compiled.
 
-    Raises `ComputerError`: A compiled kernel cannot be kept.
+    Args:
+        kernel: What is launched.
+        device: Where.
+        others: Gives all kernels that the same work may need, so that who waits hears of how many this is one.
+        **given: As for ``wp.launch``.
+
+    Returns:
+        What that returns.
+
+    Raises:
+        ComputerError: A compiled kernel cannot be kept.
     """
     global _alone
     if not _is_kept(kernel.module, device):
         _alone += 1
-        progress.say(f"compiling kernel {_alone}, once on this computer")
+        to_come = sum(not _is_kept(each.module, device) for each in others() if each != kernel)
+        of = f" of at most {_alone + to_come}" if to_come else ""
+        progress.say(f"compiling kernel {_alone}{of}, once on this computer")
         _load(kernel.module, device)
     return wp.launch(kernel, device=device, **given)
 

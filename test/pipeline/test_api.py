@@ -330,6 +330,10 @@ def test_it_shows_itself(result: Weighing, tmp_path: Path) -> None:
     page = result.report(tmp_path / "page.html")
     words = page.read_text()
     assert str(BAG) in words and "weigh([" in words and "<svg" in words
+    with pytest.raises(ConfigurationError, match=r"page\.html: is there already; force=True"):
+        result.report(page)
+    page.write_text("")
+    assert result.report(page, force=True).read_text() == words
 
 
 def test_the_plot_shows_what_was_measured(result: Weighing) -> None:
@@ -385,6 +389,8 @@ def test_a_calibration_is_used_as_an_object_or_as_its_file(
     assert "joint3" in words_in(calibration.plot()) and "weighs " in calibration._repr_html_()
     words = calibration.report(tmp_path / "page.html").read_text()
     assert "calibrate([" in words and str(EMPTY[0]) in words
+    with pytest.raises(ConfigurationError, match="is there already"):
+        calibration.report(tmp_path / "page.html")
     assert "\n" not in repr(calibration) and "accepted" in calibration._repr_html_()
 
 

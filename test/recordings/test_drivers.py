@@ -259,8 +259,8 @@ def test_what_holds_without_a_profile_is_that_of_our_driver() -> None:
         ("[]", "expected keys and values"),
         ("title: x\nstate: joint_states", "unknown key 'state'; did you mean 'states'"),
         (
-            "title: x\neffort_unit: Nm",
-            "effort_unit: 'Nm' is unknown: choose one of N.m, A, mA, raw",
+            "title: x\neffort_unit: lbf",
+            "effort_unit: 'lbf' is unknown: choose one of N.m, A, mA, raw",
         ),
         ("title: x\nstates: /joint_states", "states: expected a topic without a namespace"),
         ("states: joint_states", "title is missing"),

@@ -125,7 +125,7 @@ def test_a_replay_says_what_it_compiles(bags: Path, tmp_path: Path) -> None:
     assert (
         lines
         == [
-            f"proprio: compiling kernel {number}, {COMPILING}"
+            f"proprio: compiling kernel {number} of at most 8, {COMPILING}"
             for number in range(1, len(lines) + 1)
         ]
         and lines

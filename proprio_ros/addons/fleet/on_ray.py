@@ -15,6 +15,7 @@ from proprio_ros.addons.fleet.local import CHUNK, chunk_size
 from proprio_ros.addons.fleet.rows import Job, lasting, rows_of_all
 from proprio_ros.addons.fleet.store import PARTITION, Store, schema, table_of
 from proprio_ros.errors import ConfigurationError
+from proprio_ros.installed import to_install
 
 
 def ray_or_refuse() -> Any:
@@ -25,7 +26,7 @@ def ray_or_refuse() -> Any:
         import ray.data
     except ImportError as error:
         raise ConfigurationError(
-            f"--engine ray: {error.name} is missing: pip install 'proprio_ros[batch,ray]', or leave --engine out"
+            f"--engine ray: {error.name} is missing: {to_install('batch,ray')}, or leave --engine out"
         ) from error
     return ray
 
