@@ -9,7 +9,6 @@ MODULES: dict[str, tuple[str, ...]] = {
     # values and conventions of every room
     "": (
         "errors",
-        "installed",
         "kinds",
         "quantity",
         "records",
@@ -52,6 +51,7 @@ MODULES: dict[str, tuple[str, ...]] = {
     ),
     "inputs": (
         "forms",
+        "installed",
         "reading",
         "resources",
         "settings",

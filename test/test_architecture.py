@@ -18,7 +18,6 @@ PACKAGE = Path(__file__).resolve().parents[1] / "proprio_ros"
 BASE = {
     "version",
     "errors",
-    "installed",
     "records",
     "quantity",
     "kinds",

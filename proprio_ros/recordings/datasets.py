@@ -21,8 +21,8 @@ import numpy as np
 
 from proprio_ros import records
 from proprio_ros.errors import ConfigurationError, ProprioError, RecordingError, one_line
+from proprio_ros.inputs.installed import to_install
 from proprio_ros.inputs.reading import json_of, path_problem, text_of
-from proprio_ros.installed import to_install
 from proprio_ros.quantity import POSITIONS
 from proprio_ros.recordings.arrivals import of_bursts
 from proprio_ros.recordings.clocks import in_order, is_counted

@@ -12,7 +12,7 @@ from typing import Any
 
 from proprio_ros.errors import ConfigurationError
 from proprio_ros.identification.estimate import JointFit, RunFit
-from proprio_ros.installed import to_install
+from proprio_ros.inputs.installed import to_install
 from proprio_ros.records import TORQUE_OFF
 
 INK, MUTED, MEASURED, SIMULATED, ACCENT = "#1b2430", "#8a94a3", "#1b2430", "#d1495b", "#2a7f9e"
