@@ -51,7 +51,6 @@ MODULES: dict[str, tuple[str, ...]] = {
     ),
     "inputs": (
         "forms",
-        "installed",
         "reading",
         "resources",
         "settings",

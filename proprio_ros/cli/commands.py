@@ -25,13 +25,13 @@ from proprio_ros.cli.terminal import (
     say_progress,
 )
 from proprio_ros.errors import ConfigurationError, one_line, printable, some
-from proprio_ros.inputs.installed import to_install
 from proprio_ros.inputs.reading import path_problem
 from proprio_ros.inputs.resources import check_page
 from proprio_ros.inputs.settings import parse_settings
 from proprio_ros.probes import all_probes, probe_named, probe_that
 from proprio_ros.probes.base import HasTable
 from proprio_ros.quantity import shown
+from proprio_ros.version import to_install
 from proprio_ros.whole_files import real_path
 
 if TYPE_CHECKING:

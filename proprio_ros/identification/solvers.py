@@ -10,7 +10,7 @@ import numpy as np
 
 from proprio_ros.errors import ConfigurationError
 from proprio_ros.identification.unknowns import Coordinates
-from proprio_ros.inputs.installed import to_install
+from proprio_ros.version import to_install
 
 SOLVERS = ("lm", "adam", "cma")
 WINDOWS = (0.25, 0.5, 0.75, 1.0)

@@ -21,13 +21,13 @@ import numpy as np
 
 from proprio_ros import records
 from proprio_ros.errors import ConfigurationError, ProprioError, RecordingError, one_line
-from proprio_ros.inputs.installed import to_install
 from proprio_ros.inputs.reading import json_of, path_problem, text_of
 from proprio_ros.quantity import POSITIONS
 from proprio_ros.recordings.arrivals import of_bursts
 from proprio_ros.recordings.clocks import in_order, is_counted
 from proprio_ros.recordings.read_options import Columns, ReadOptions
 from proprio_ros.recordings.sign_bits import without_sign_bits
+from proprio_ros.version import to_install
 
 VERSIONS = ("v2.0", "v2.1", "v3.")
 """Beginnings of ``codebase_version`` that are read; 2.0 differs from 2.1 in its statistics alone."""

@@ -12,8 +12,8 @@ from typing import Any
 
 from proprio_ros.errors import ConfigurationError
 from proprio_ros.identification.estimate import JointFit, RunFit
-from proprio_ros.inputs.installed import to_install
 from proprio_ros.records import TORQUE_OFF
+from proprio_ros.version import to_install
 
 INK, MUTED, MEASURED, SIMULATED, ACCENT = "#1b2430", "#8a94a3", "#1b2430", "#d1495b", "#2a7f9e"
 TIME = {False: "time after the current came on (s)", True: "time after it was let go (s)"}

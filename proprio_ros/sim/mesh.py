@@ -20,8 +20,8 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
 from proprio_ros.errors import ConfigurationError
-from proprio_ros.inputs.installed import to_install
 from proprio_ros.inputs.reading import path_problem
+from proprio_ros.version import to_install
 
 # cells along one axis; 64^3 are 1.3 million tetrahedra, far more than is ever needed
 MAX_CELLS = 64

@@ -15,7 +15,7 @@ from proprio_ros.addons.fleet.local import CHUNK, chunk_size
 from proprio_ros.addons.fleet.rows import Job, lasting, rows_of_all
 from proprio_ros.addons.fleet.store import PARTITION, Store, schema, table_of
 from proprio_ros.errors import ConfigurationError
-from proprio_ros.inputs.installed import to_install
+from proprio_ros.version import to_install
 
 
 def ray_or_refuse() -> Any:

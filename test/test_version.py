@@ -11,9 +11,9 @@ from pathlib import Path
 
 import pytest
 
-from proprio_ros.inputs.installed import to_install
+from proprio_ros.version import to_install
 
-REPOSITORY = Path(__file__).resolve().parents[2]
+REPOSITORY = Path(__file__).resolve().parents[1]
 REQUIRES = """Metadata-Version: 2.1
 Name: proprio_ros
 Version: 0.9.0
@@ -67,7 +67,7 @@ def test_in_the_clone_itself_its_name_is_short(
 
 def test_what_runs_from_its_source_is_installed_from_there() -> None:
     """Whatever lies beside it: `pip install -e` leaves metadata in the clone, without a word on who made it."""
-    code = "from proprio_ros.inputs.installed import to_install; print(to_install('report'))"
+    code = "from proprio_ros.version import to_install; print(to_install('report'))"
     environment = {**os.environ, "PYTHONPATH": str(REPOSITORY)}
     done = subprocess.run(
         [sys.executable, "-c", code], env=environment, capture_output=True, text=True, cwd="/"
