@@ -53,10 +53,22 @@ class ProprioError(Exception):
         words: The sentence without its subject.
     """
 
-    def __init__(self, message: object = "", subject: object = "") -> None:
+    def __init__(
+        self,
+        message: object = "",
+        subject: object = "",
+        longest: int = LONGEST_SENTENCE,
+    ) -> None:
+        """Of a sentence.
+
+        Args:
+            message: The sentence.
+            subject: What it is about, where the sentence does not say it.
+            longest: Characters of it; what is longer is left out of its middle.
+        """
         self.subject = str(subject)
-        self.words = one_line(str(message))
-        super().__init__(one_line(f"{subject}: {message}") if self.subject else self.words)
+        self.words = one_line(str(message), longest)
+        super().__init__(one_line(f"{subject}: {message}", longest) if self.subject else self.words)
 
     def about(self, subject: object) -> str:
         """What is said of a subject, without its name; the whole line where it is about another one."""

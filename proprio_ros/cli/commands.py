@@ -209,7 +209,7 @@ def robot_new(options: argparse.Namespace, given: Sequence[str]) -> int:
         f"  {state}\n"
         f"  check: payload_frame, {new.payload_frame} is a guess"
     )
-    notes = []
+    notes = list(new.notes)
     if new.unlimited:
         notes.append(
             f"before planning or pushing, state current_limit_A of: {some(new.unlimited)} (its URDF states no limit of effort; "

@@ -9,6 +9,7 @@ import numpy as np
 
 from proprio_ros.records import Run
 from proprio_ros.robot import ReducedModel, Robot
+from proprio_ros.robot.links import Link
 from proprio_ros.sim.payload import (
     PayloadFacts,
     joint_coefficients,
@@ -76,12 +77,13 @@ def axis_and_gravity(
     return model.axes[0], rotation.T @ model.gravity
 
 
-def link_stds(robot: Robot) -> dict[str, float]:
-    """Standard deviations of ``LINK_TERMS`` before anything is learnt."""
+def link_stds(robot: Robot, link: Link) -> dict[str, float]:
+    """Standard deviations of a link's ``LINK_TERMS`` before anything is learnt."""
+    spread = link.spread
     stds = (
-        robot.link_mass_std,
-        *[robot.link_com_std] * 3,
-        robot.link_inertia_std,
+        float(np.hypot(robot.link_mass_std, spread.mass)),
+        *[float(np.hypot(robot.link_com_std, spread.com_m))] * 3,
+        float(np.hypot(robot.link_inertia_std, spread.inertia)),
     )
     return dict(zip(LINK_TERMS, stds, strict=True))
 
@@ -186,12 +188,13 @@ def _by_links(
     changes = _link_changes(np.array([link.pseudo_inertia for link in links]))
     moved = at @ changes @ at.transpose(0, 1, 3, 2)
     rows = joint_coefficients(moved, model.kinds[0], axis, gravity)  # (L, K, 4)
-    stds = link_stds(robot)
+    stds = np.array([[*link_stds(robot, link).values()] for link in links])
+    stds = stds.reshape(-1, len(LINK_TERMS))
     largest = np.abs(rows).max(axis=2)
-    seen = largest * np.array([*stds.values()]) > NEGLIGIBLE
+    seen = largest * stds > NEGLIGIBLE
     keys: list[tuple[str, str]] = []
     for link, of_link in zip(links, seen, strict=True):
-        terms = [term for term, is_seen in zip(stds, of_link, strict=True) if is_seen]
+        terms = [term for term, is_seen in zip(LINK_TERMS, of_link, strict=True) if is_seen]
         keys += [(term, link.name) for term in terms]
     return tuple(keys), rows[seen]
 

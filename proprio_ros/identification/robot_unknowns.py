@@ -183,10 +183,10 @@ def _shared_unknowns(robot: Robot, runs: Sequence[PreparedRun]) -> list[Unknown]
         shared.append(_from_quantity("zero", name, Quantity(moved.zero.value, std)))
         ripple = Quantity(0.0, moved.encoder_once_per_turn)
         shared += [_from_quantity(kind, name, ripple) for kind in RIPPLE_TERMS]
-    stds = link_stds(robot)
+    stds = {link.name: link_stds(robot, link) for link in robot.model.links}
     links = dict.fromkeys(key for run in runs for key in run.coefficients.links)
     for kind, link in links:
-        shared.append(_from_quantity(kind, link, Quantity(0.0, stds[kind])))
+        shared.append(_from_quantity(kind, link, Quantity(0.0, stds[link][kind])))
     return shared
 
 

@@ -10,10 +10,11 @@ import re
 from collections.abc import Callable
 from pathlib import Path
 
-from proprio_ros.errors import RobotError, one_line, some
+from proprio_ros.errors import RobotError, one_line
 from proprio_ros.inputs.reading import path_problem
+from proprio_ros.robot.links import Joint
 from proprio_ros.robot.tree import RobotModel
-from proprio_ros.robot.urdf import Joint
+from proprio_ros.robot.urdf import LONGEST_REFUSAL
 
 # what a source begins with that names a robot of the package robot_descriptions
 PACKAGE = "robot_descriptions:"
@@ -162,20 +163,10 @@ class _Bodies:
 
 
 def check_masses(model: RobotModel, source: str) -> None:
-    """Refuse a robot some of whose joints move nothing that has mass.
+    """Refuse a robot that lacks the mass of a link that its arm moves.
 
     Raises:
         RobotError: That is so; all are named.
     """
-    mass = {link.name: float(link.pseudo_inertia[3, 3]) for link in model.links}
-    carried = {joint.child: mass[joint.child] for joint in model.joints if joint.independent}
-    body = {link: link for link in carried}
-    for joint in model.joints:
-        if not joint.independent and joint.parent in body:
-            body[joint.child] = body[joint.parent]
-            carried[body[joint.parent]] += mass[joint.child]
-    bare = [name for name, total in carried.items() if total <= 0.0]
-    if bare:
-        raise RobotError(
-            f"{source}: no <inertial> in links that move: {some(bare)}; state mass, centre and inertia of each"
-        )
+    if model.missing:
+        raise RobotError(f"{source}: {'; '.join(model.missing)}", longest=LONGEST_REFUSAL)

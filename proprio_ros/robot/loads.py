@@ -14,8 +14,8 @@ from typing import NamedTuple
 import numpy as np
 
 from proprio_ros.robot.geometry import FloatArray, motion
+from proprio_ros.robot.links import Joint
 from proprio_ros.robot.robot_file import Robot
-from proprio_ros.robot.urdf import Joint
 
 
 class Load(NamedTuple):

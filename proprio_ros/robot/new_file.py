@@ -11,13 +11,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from proprio_ros.errors import RobotError
+from proprio_ros.errors import RobotError, some
 from proprio_ros.inputs.forms import Field, Text, Truth
 from proprio_ros.quantity import Quantity
 from proprio_ros.robot.description import PACKAGE, check_masses, hand_link, read_model
 from proprio_ros.robot.fields import DRIVE_TRAIN, JOINT, MOTOR, NOMINAL, ROBOT, Uncertain
+from proprio_ros.robot.links import Joint
 from proprio_ros.robot.tree import STANDARD_GRAVITY, RobotModel
-from proprio_ros.robot.urdf import Joint
+from proprio_ros.robot.urdf import MOST_EFFORT
 from proprio_ros.robot.wide import RECORDED_TORQUE, Wide, largest_torque
 from proprio_ros.whole_files import real_path
 
@@ -40,6 +41,9 @@ class NewFile:
     to_state: tuple[str, ...]  # dotted keys that must be stated before the file can be loaded
     # joints of which the URDF states no limit of effort: plans and pushes want their current_limit_A
     unlimited: tuple[str, ...]
+    notes: tuple[
+        str, ...
+    ]  # what was taken for something else than the URDF states, and what was left out
 
 
 def new_robot_file(
@@ -68,7 +72,7 @@ def new_robot_file(
     check_masses(model, source if source.startswith(PACKAGE) else Path(source).name)
     frame = hand_link(model)
     values = {"name": model.name, "payload_frame": frame}
-    lines = _head(model.name, torque_recorded)
+    lines = _head(model, torque_recorded)
     for key, entry in ROBOT.items():
         if key in _WRITTEN_BY_CALIBRATE:
             continue
@@ -84,8 +88,9 @@ def new_robot_file(
         "joints:",
     ]
     to_state = []
-    turning = [name for name in model.independent_joints if model.joint(name).kind != "prismatic"]
-    joints = tuple(turning) if torque_recorded and turning else model.independent_joints
+    moving = tuple(name for name in model.independent_joints if name not in model.idle_joints)
+    turning = tuple(name for name in moving if model.joint(name).kind != "prismatic")
+    joints = turning if torque_recorded and turning else moving
     for number, name in enumerate(joints):
         lines += _joint(model, name, explained=number == 0, torque_recorded=torque_recorded)
         if torque_recorded:
@@ -93,7 +98,7 @@ def new_robot_file(
         to_state.append(f"joints.{name}.motor.{NOMINAL}")
         if model.joint(name).kind == "prismatic":
             to_state.append(f"joints.{name}.transmission_m_per_rad")
-    unlimited = tuple(name for name in joints if math.isinf(model.joint(name).effort_limit))
+    unlimited = tuple(name for name in joints if model.joint(name).effort_limit > MOST_EFFORT)
     return NewFile(
         model.name,
         "\n".join(lines) + "\n",
@@ -101,20 +106,29 @@ def new_robot_file(
         frame,
         tuple(to_state),
         unlimited,
+        _notes(model),
     )
 
 
-def _head(name: str, torque_recorded: bool) -> list[str]:
+def _notes(model: RobotModel) -> tuple[str, ...]:
+    idle = f"left out, since nothing that moves with them has mass: {some(model.idle_joints)}"
+    return (*model.notes, *[idle] * bool(model.idle_joints))
+
+
+def _head(model: RobotModel, torque_recorded: bool) -> list[str]:
     state = f"What says {STATE} must be stated before it can be used"
     if torque_recorded:
         state = "Efforts are torque, N m: use it with --effort-unit N.m"
     words = (
-        f"Robot file of {name}, written by `proprio robot new`. {state}; what says {CHECK} is a guess. Everything else has a "
+        f"Robot file of {model.name}, written by `proprio robot new`. {state}; what says {CHECK} is a guess. Everything else has a "
         "default, wide enough to hold on most arms: state what you know, and `proprio calibrate` learns the rest. An uncertain "
         "number is {value: .., std: ..}; a plain number is known exactly; null is left out, and what is left out has its default. "
         "Everything under `joints` counts at the motor's output shaft, gear included."
     )
-    return [*(f"# {line}" for line in textwrap.wrap(words, 118)), ""]
+    lines = textwrap.wrap(words, 118)
+    for note in _notes(model):
+        lines += textwrap.wrap(f"Note: {note}.", 118)
+    return [*(f"# {line}" for line in lines), ""]
 
 
 def _joint(
@@ -127,8 +141,8 @@ def _joint(
     joint = model.joint(name)
     unit = "N" if joint.kind == "prismatic" else "N m"
     limits = f", at most {joint.effort_limit:g} {unit} by its URDF"
-    if math.isinf(joint.effort_limit):
-        limits = ", its URDF states no limit of effort"
+    if joint.effort_limit > MOST_EFFORT:
+        limits = ", its URDF states no limit of effort that a motor has"
     writer = _JointWriter(model, joint, unit, explained, torque_recorded)
     return [
         f"  {_yaml(name)}:  # {joint.kind}{limits}",
@@ -162,7 +176,7 @@ class _JointWriter:
         if key == NOMINAL:
             about = f"; 1 where torque is recorded, not current; {_words(entry)}"
             return _line(6, key, None, STATE + (about if self.explained else ""))
-        if key == "current_limit_A" and self.torque_recorded and math.isfinite(limit):
+        if key == "current_limit_A" and self.torque_recorded and limit <= MOST_EFFORT:
             return self._stated(key, entry, limit, f"{self.unit}, its URDF's: ")
         return self._by_default(6, key, entry)
 

@@ -54,8 +54,8 @@ from proprio_ros.robot.fields import (
     without_unit,
 )
 from proprio_ros.robot.geometry import FloatArray, frozen
+from proprio_ros.robot.links import Joint
 from proprio_ros.robot.tree import RobotModel
-from proprio_ros.robot.urdf import Joint
 from proprio_ros.robot.wide import RECORDED_TORQUE, Wide, largest_torque
 from proprio_ros.whole_files import real_path
 
@@ -271,7 +271,9 @@ def bare_settings(source: str) -> dict[str, Any]:
         "urdf": source,
         "payload_frame": hand_link(model),
         "joints": {
-            name: {} for name in model.independent_joints if model.joint(name).kind != "prismatic"
+            name: {}
+            for name in model.independent_joints
+            if model.joint(name).kind != "prismatic" and name not in model.idle_joints
         },
     }
 

@@ -19,7 +19,8 @@ from numpy.typing import ArrayLike, NDArray
 from proprio_ros.errors import RobotError
 from proprio_ros.inputs.reading import LONGEST_TEXT
 from proprio_ros.robot.geometry import FloatArray, frozen
-from proprio_ros.robot.urdf import Joint, Link, UrdfReader
+from proprio_ros.robot.links import Joint, Link
+from proprio_ros.robot.urdf import UrdfReader
 
 STANDARD_GRAVITY = (0.0, 0.0, -9.81)  # m/s^2 in the base frame, z up
 
@@ -50,6 +51,9 @@ class RobotModel:
     links: tuple[Link, ...]
     joints: tuple[Joint, ...]
     root: str  # name of the root link; its frame is the base frame
+    # notes, missing: what was taken for something else than the description states; which masses it lacks, a sentence each
+    notes: tuple[str, ...] = ()
+    missing: tuple[str, ...] = ()
 
     @classmethod
     def from_urdf(cls, path: str | Path) -> RobotModel:
@@ -78,6 +82,16 @@ class RobotModel:
     def independent_joints(self) -> tuple[str, ...]:
         """Names of the joints that have a position of their own, parents before children."""
         return tuple(joint.name for joint in self.joints if joint.independent)
+
+    @functools.cached_property
+    def idle_joints(self) -> tuple[str, ...]:
+        """Joints with a position of their own that move nothing with mass."""
+        beyond = {link.name: float(link.pseudo_inertia[3, 3]) for link in self.links}
+        for joint in reversed(self.joints):
+            beyond[joint.parent] += beyond[joint.child]
+        return tuple(
+            name for name in self.independent_joints if beyond[self.joint(name).child] <= 0.0
+        )
 
     @functools.cached_property
     def _joints_by_name(self) -> dict[str, Joint]:
@@ -182,12 +196,7 @@ class RobotModel:
             frames[joint.child] = (body, frozen(body_from_link))
             if body >= 0:
                 bodies[body] += body_from_link @ inertias[joint.child] @ body_from_link.T
-        for joint, pseudo in zip(moving, bodies, strict=True):
-            if pseudo[3, 3] <= 0.0:
-                raise RobotError(
-                    f"nothing that moves with joint {joint.name!r} of {self.name} has mass: "
-                    f"give link {joint.child!r} an <inertial>, or hold the joint"
-                )
+        self._check_masses(moving, parents, bodies)
         parents_array = np.array(parents, dtype=np.int64)
         parents_array.setflags(write=False)
         return ReducedModel(
@@ -228,6 +237,25 @@ class RobotModel:
                     "modelled here; choose another joint to move"
                 )
 
+    def _check_masses(
+        self,
+        moving: Sequence[Joint],
+        parents: Sequence[int],
+        bodies: Sequence[FloatArray],
+    ) -> None:
+        """Refuse bodies without mass, but those between axes that meet in one place."""
+        unknown = {link.name for link in self.links if link.unknown}
+        beyond = [float(pseudo[3, 3]) for pseudo in bodies]
+        for body in reversed(range(len(bodies))):
+            if parents[body] >= 0:
+                beyond[parents[body]] += beyond[body]
+        for joint, pseudo, mass in zip(moving, bodies, beyond, strict=True):
+            if mass <= 0.0 or (pseudo[3, 3] <= 0.0 and joint.child in unknown):
+                raise RobotError(
+                    f"nothing that moves with joint {joint.name!r} of {self.name} has mass: "
+                    f"give link {joint.child!r} an <inertial>, or hold the joint"
+                )
+
     def fingerprint(self) -> str:
         """SHA-256 of kinematics and inertias, as hex digits: what a calibration depends on, and nothing else.
 
@@ -250,5 +278,9 @@ class RobotModel:
             + ([] if joint.mimic is None else [joint.mimic[0], digits(joint.mimic[1:])])
             for joint in self.joints
         )
-        links = sorted([link.name, digits(link.pseudo_inertia)] for link in self.links)
+        # a mass that the description does not state is none of it
+        stated = {link.name: float(link.spread.mass == 0.0) for link in self.links}
+        links = sorted(
+            [link.name, digits(stated[link.name] * link.pseudo_inertia)] for link in self.links
+        )
         return hashlib.sha256(json.dumps([self.root, joints, links]).encode()).hexdigest()

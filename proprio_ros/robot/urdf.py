@@ -1,7 +1,6 @@
-"""Links and joints as a URDF file states them.
+"""Links and joints as a URDF file states them; meshes, visuals, transmissions and simulator blocks are ignored.
 
-A joint's frame moves with it: the child link's frame is ``parent_T_child(q) = origin @ motion(axis, q)``, as URDF defines
-it. Meshes, visuals, transmissions and simulator blocks are ignored.
+What is wrong with elements is collected, so that one message names all of it.
 """
 
 from __future__ import annotations
@@ -9,69 +8,46 @@ from __future__ import annotations
 import math
 import xml.etree.ElementTree as ElementTree
 from collections import Counter, defaultdict
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any, NoReturn
 
 import numpy as np
 
-from proprio_ros.errors import RobotError, one_line
+from proprio_ros.errors import RobotError, one_line, some
 from proprio_ros.inputs.reading import LONGEST_TEXT
-from proprio_ros.robot.geometry import (
-    FloatArray,
-    frozen,
-    motion,
-    pseudo_inertia,
-    rotation_from_rpy,
-    transform,
-)
+from proprio_ros.robot.bodies import Stated, possible_bodies
+from proprio_ros.robot.geometry import FloatArray, frozen, rotation_from_rpy, transform
+from proprio_ros.robot.links import JOINT_KINDS, Joint, Link
 
-JOINT_KINDS = ("revolute", "continuous", "prismatic", "fixed")
 LONGEST_NAME = 255  # characters of the name of a link or a joint
 MOST_LINKS = 256
 """Each link that moves with a driven joint has unknowns of its own; a humanoid with two hands has half as many links."""
 _LARGEST = {"mass": 1e4, "inertia": 1e5, "xyz": 100.0, "rpy": 100.0}  # kg, kg m^2, m, rad
-_NO_MASS_KG, _NO_INERTIA_KG_M2 = 1e-6, 1e-9
-"""Exporters of CAD models give frames a billionth of a kilogram, since a simulator wants some mass: such a link has none."""
-_ROUNDING = 1e-9  # relative; inertias are printed with eight digits or more
+LONGEST_REFUSAL = 4000  # characters; whoever mends a description wants the name of every link
+MOST_EFFORT = 1e3
+"""No motor of an arm that is weighed with turns a joint with more [N m]; whoever writes more has stated no limit."""
+_FREE = ("floating", "planar")
+"""Joints without a motor, by which a robot stands somewhere in its world."""
 
 
-@dataclass(frozen=True, eq=False)
-class Joint:
-    """One joint of the tree."""
-
-    name: str
-    kind: str  # one of `JOINT_KINDS`
-    # parent, child: link it stands on, and link it carries
-    parent: str
-    child: str
-    origin: FloatArray  # parent_T_joint at position zero, shape (4, 4)
-    axis: FloatArray  # unit axis in the joint frame, shape (3,)
-    # lower, upper: smallest and largest position [rad or m], infinite when there is none
-    lower: float
-    upper: float
-    # velocity_limit, effort_limit: [rad/s or m/s] and [N m or N], infinite when there is none
-    velocity_limit: float
-    effort_limit: float
-    # (source joint, multiplier, offset) of a joint that follows another; None for an independent one
-    mimic: tuple[str, float, float] | None = None
-
-    @property
-    def independent(self) -> bool:
-        """Whether the joint has a position of its own."""
-        return self.kind != "fixed" and self.mimic is None
-
-    def transform(self, position: float | FloatArray) -> FloatArray:
-        """parent_T_child at a position [rad or m], shape (4, 4), or at N of them, shape (N, 4, 4)."""
-        return self.origin @ motion(self.kind, self.axis, position)
+class _ElementError(Exception):
+    """What is wrong with one element."""
 
 
-@dataclass(frozen=True, eq=False)
-class Link:
-    """One link of the tree; its pseudo-inertia is about its frame, shape (4, 4), zeros when the URDF gives no inertial."""
+def _wrong(message: str) -> NoReturn:
+    raise _ElementError(message)
 
-    name: str
-    pseudo_inertia: FloatArray
+
+def _by_link(problems: Mapping[str, Sequence[str]]) -> list[str]:
+    """A sentence a problem, with the names of its links; the last one says what to do."""
+    sentences = [
+        f"link{'s' * (len(names) > 1)} {', '.join(names)}: {problem}"
+        for problem, names in problems.items()
+    ]
+    if sentences:
+        sentences.append("state mass, centre and inertia of each, as of its solid")
+    return sentences
 
 
 class UrdfReader:
@@ -79,6 +55,9 @@ class UrdfReader:
 
     def __init__(self, text: str | bytes, source: str) -> None:
         self._source = source
+        self._problems: list[str] = []
+        self._notes: list[str] = []
+        self._free: set[str] = set()
         if len(text) > LONGEST_TEXT:
             raise RobotError(
                 f"{source}: has over {LONGEST_TEXT / 1e6:g} MB; give a URDF file, whose meshes lie beside it"
@@ -97,12 +76,22 @@ class UrdfReader:
             )
 
     def _fail(self, message: str) -> NoReturn:
-        raise RobotError(f"{self._source}: {message}")
+        self._problems.append(message)
+        self._refuse()
 
-    def read(self) -> tuple[str, tuple[Link, ...], tuple[Joint, ...], str]:
-        """Name of the robot, its links and joints, parents before children, and the name of the root link.
+    def _refuse(self) -> NoReturn:
+        """Refuse the document, with all that is wrong so far."""
+        raise RobotError(
+            f"{self._source}: {'; '.join(dict.fromkeys(self._problems))}",
+            longest=LONGEST_REFUSAL,
+        )
 
-        Raises `RobotError`: The document describes no physical tree of links.
+    def read(
+        self,
+    ) -> tuple[str, tuple[Link, ...], tuple[Joint, ...], str, tuple[str, ...], tuple[str, ...]]:
+        """What a `RobotModel` is made of.
+
+        Raises `RobotError`: The document describes no physical tree of links; it names all that is wrong.
         """
         for tag in ("link", "joint"):
             count = len(self._robot.findall(tag))
@@ -110,19 +99,23 @@ class UrdfReader:
                 self._fail(
                     f"has {count} {tag}s, and {MOST_LINKS} are the most that can be read: leave out what never moves"
                 )
-        links = self._unique("link", self._link)
-        if not links:
+        stated = self._unique("link", self._link)
+        if not stated:
             self._fail("the robot has no <link>")
         joints = self._unique("joint", self._joint)
-        for joint in joints.values():
-            for role, name in (("parent", joint.parent), ("child", joint.child)):
-                if name not in links:
-                    self._fail(
-                        f"joint {joint.name!r} names an unknown {role} link {name!r}; links: {', '.join(links)}"
-                    )
+        self._check_ends(joints, stated)
+        joints = self._freed(joints)
         self._check_mimics(joints)
-        root = self._root(links, joints)
+        root = self._root(stated, joints)
         ordered = self._ordered(root, joints)
+        self._check_free(ordered)
+        bodies = possible_bodies(stated, ordered, root)
+        self._problems += _by_link(bodies.problems)
+        missing = _by_link(bodies.missing)
+        if self._problems:
+            self._problems += missing
+            self._refuse()
+        links = bodies.links
         name = one_line(self._robot.get("name") or "robot", LONGEST_NAME)
         return (
             name,
@@ -132,26 +125,67 @@ class UrdfReader:
             ),
             tuple(ordered),
             root,
+            (*self._notes, *bodies.notes),
+            tuple(missing),
         )
+
+    def _check_ends(
+        self,
+        joints: Mapping[str, Joint],
+        links: Mapping[str, Stated],
+    ) -> None:
+        before = len(self._problems)
+        for joint in joints.values():
+            for role, name in (("parent", joint.parent), ("child", joint.child)):
+                if name not in links:
+                    self._problems.append(
+                        f"joint {joint.name!r} names an unknown {role} link {name!r}; links: {some(links)}"
+                    )
+        if len(self._problems) > before:
+            self._refuse()
+
+    def _check_free(self, joints: Sequence[Joint]) -> None:
+        """Take joints by which a robot stands in its world as fixed, and refuse those that an arm would carry."""
+        moving: set[str] = set()
+        for joint in joints:
+            if joint.name in self._free and joint.parent in moving:
+                self._problems.append(
+                    f"joint {joint.name!r} carries what is not fixed to {joint.parent!r}, which moves; make it fixed or leave "
+                    "it out"
+                )
+            if joint.kind != "fixed" or joint.parent in moving:
+                moving.add(joint.child)
+        if self._free:
+            free = [joint.name for joint in joints if joint.name in self._free]
+            self._notes.append(
+                f"floating or planar, taken as fixed, so that what it carries must stand upright and still: {some(free)}"
+            )
 
     def _unique(
         self,
         tag: str,
         read: Callable[[ElementTree.Element], Any],
     ) -> dict[str, Any]:
-        items = [read(element) for element in self._robot.findall(tag)]
+        items = []
+        for element in self._robot.findall(tag):
+            try:
+                items.append(read(element))
+            except _ElementError as error:
+                self._problems.append(str(error))
+        if len(items) < len(self._robot.findall(tag)):
+            self._refuse()
         result = {item.name: item for item in items}
         for name, count in Counter(item.name for item in items).items():
             if count > 1:
-                self._fail(f"two {tag}s are named {name!r}; give each a name of its own")
+                self._problems.append(f"two {tag}s are named {name!r}; give each a name of its own")
         return result
 
     def _name(self, element: ElementTree.Element) -> str:
         name = element.get("name")
         if not name:
-            self._fail(f"a <{element.tag}> has no name; give it one")
+            _wrong(f"a <{element.tag}> has no name; give it one")
         if not name.isprintable() or len(name) > LONGEST_NAME:
-            self._fail(
+            _wrong(
                 f"the name '{one_line(name, 60)}' of a <{element.tag}> is not printable, or too long"
             )
         return name
@@ -167,23 +201,21 @@ class UrdfReader:
         """So many numbers of an attribute."""
         text = element.get(attribute, default)
         if text is None:
-            self._fail(f"{where}: <{element.tag}> has no {attribute}; add it")
+            _wrong(f"{where}: <{element.tag}> has no {attribute}; add it")
         try:
             values = [float(part) for part in text.split()]
         except ValueError:
-            self._fail(f"{where}: {attribute}={text!r} of <{element.tag}> is no number")
+            _wrong(f"{where}: {attribute}={text!r} of <{element.tag}> is no number")
         if not all(math.isfinite(value) for value in values):
-            self._fail(f"{where}: {attribute}={text!r} of <{element.tag}> must be finite")
+            _wrong(f"{where}: {attribute}={text!r} of <{element.tag}> must be finite")
         largest = _LARGEST.get(element.tag, _LARGEST.get(attribute, math.inf))
         if max(map(abs, values), default=0.0) > largest:
-            self._fail(
+            _wrong(
                 f"{where}: {attribute}={text!r} of <{element.tag}> is over {largest:g}: units are kg, m and rad"
             )
         if len(values) != count:
             needed = "one number" if count == 1 else "three numbers"
-            self._fail(
-                f"{where}: {attribute} of <{element.tag}> must be {needed}, got {len(values)}"
-            )
+            _wrong(f"{where}: {attribute} of <{element.tag}> must be {needed}, got {len(values)}")
         return values
 
     def _number(
@@ -202,65 +234,54 @@ class UrdfReader:
         rotation = rotation_from_rpy(self._numbers(origin, "rpy", where, "0 0 0"))
         return transform(rotation, self._numbers(origin, "xyz", where, "0 0 0"))
 
-    def _link(self, element: ElementTree.Element) -> Link:
+    def _link(self, element: ElementTree.Element) -> Stated:
         name = self._name(element)
+        try:
+            return self._stated(element, name)
+        except _ElementError as error:
+            self._problems.append(str(error))
+            return Stated(name, unread=True)
+
+    def _stated(self, element: ElementTree.Element, name: str) -> Stated:
         where = f"link {name!r}"
         inertial = element.find("inertial")
-        if inertial is None:
-            return Link(name, frozen(np.zeros((4, 4))))
-        mass_element = inertial.find("mass")
+        shapes = element.findall("visual") + element.findall("collision")
+        has_shape = any(shape.find("geometry") is not None for shape in shapes)
+        mass_element = None if inertial is None else inertial.find("mass")
+        if inertial is None or mass_element is None:
+            return Stated(name, has_shape=has_shape)
         inertia_element = inertial.find("inertia")
-        if mass_element is None or inertia_element is None:
-            self._fail(
-                f"{where}: <inertial> needs both <mass> and <inertia>; leave it out for a frame without mass"
-            )
-        mass = self._number(mass_element, "value", where)
-        inertia = self._inertia(inertia_element, where)
-        if 0.0 <= mass <= _NO_MASS_KG and np.abs(inertia).max() <= _NO_INERTIA_KG_M2:
-            return Link(name, frozen(np.zeros((4, 4))))
-        if mass <= 0.0:
-            self._fail(
-                f"{where}: mass must be positive, got {mass} kg; leave <inertial> out for a frame without mass"
-            )
-        self._check_moments(inertia, where)
-        link_from_inertial = self._origin(inertial, where)
-        central = pseudo_inertia(mass, np.zeros(3), inertia)
-        return Link(name, frozen(link_from_inertial @ central @ link_from_inertial.T))
+        inertia = np.zeros((3, 3))
+        if inertia_element is not None:
+            inertia = self._inertia(inertia_element, where)
+        return Stated(
+            name,
+            self._number(mass_element, "value", where),
+            inertia,
+            self._origin(inertial, where),
+            has_shape,
+        )
 
     def _inertia(self, element: ElementTree.Element, where: str) -> FloatArray:
         """About the centre of mass, (3, 3)."""
         rows = (("ixx", "ixy", "ixz"), ("ixy", "iyy", "iyz"), ("ixz", "iyz", "izz"))
         return np.array([[self._number(element, key, where) for key in row] for row in rows])
 
-    def _check_moments(self, inertia: FloatArray, where: str) -> None:
-        """Refuse an inertia that no body has."""
-        smallest, middle, largest = np.linalg.eigvalsh(inertia)
-        moments = f"principal moments {smallest:.4g}, {middle:.4g}, {largest:.4g} kg m^2"
-        if smallest <= 0.0:
-            self._fail(
-                f"{where}: the inertia is not positive definite ({moments}): no body has it; take it from the CAD model or a "
-                "solid of that size"
-            )
-        if largest > (smallest + middle) * (1.0 + _ROUNDING):
-            self._fail(
-                f"{where}: the inertia breaks the triangle inequality ({moments}; none may exceed the sum of the others): no "
-                "body has it; check units and signs"
-            )
-
     def _joint(self, element: ElementTree.Element) -> Joint:
         name = self._name(element)
         where = f"joint {name!r}"
         kind = element.get("type", "")
+        if kind in _FREE:
+            self._free.add(name)
+            kind = "fixed"
         if kind not in JOINT_KINDS:
-            self._fail(
-                f"{where}: type {kind!r} is not supported; supported: {', '.join(JOINT_KINDS)}"
-            )
+            _wrong(f"{where}: type {kind!r} is not supported; supported: {', '.join(JOINT_KINDS)}")
         ends = {}
         for role in ("parent", "child"):
             end = element.find(role)
             link = None if end is None else end.get("link")
             if not link:
-                self._fail(f"{where}: has no <{role} link=.../>; add it")
+                _wrong(f"{where}: has no <{role} link=.../>; add it")
             ends[role] = link
         axis = np.array([1.0, 0.0, 0.0])
         axis_element = element.find("axis")
@@ -268,9 +289,13 @@ class UrdfReader:
             axis = np.array(self._numbers(axis_element, "xyz", where, "1 0 0"))
             length = float(np.linalg.norm(axis))
             if length < 1e-9:
-                self._fail(f"{where}: the axis is zero; give it a direction, e.g. 0 0 1")
+                _wrong(f"{where}: the axis is zero; give it a direction, e.g. 0 0 1")
             axis = axis / length
-        lower, upper, velocity, effort = self._limits(element, kind, where)
+        limit = element.find("limit")
+        lower, upper = self._range(limit, kind, where)
+        if kind == "revolute" and math.isinf(upper):
+            kind = "continuous"
+        velocity, effort = self._rates(limit, kind, where)
         return Joint(
             name=name,
             kind=kind,
@@ -285,37 +310,36 @@ class UrdfReader:
             mimic=self._mimic(element, kind, where),
         )
 
-    def _limits(
-        self, element: ElementTree.Element, kind: str, where: str
-    ) -> tuple[float, float, float, float]:
-        lower = -math.inf
-        upper = math.inf
-        velocity = math.inf
-        effort = math.inf
-        limit = element.find("limit")
-        if kind in ("revolute", "prismatic"):
-            if limit is None or limit.get("lower") is None or limit.get("upper") is None:
-                advice = ", or make it continuous" if kind == "revolute" else ""
-                self._fail(
-                    f"{where}: a {kind} joint needs <limit lower=.. upper=../>; add it{advice}"
-                )
-            lower = self._number(limit, "lower", where)
-            upper = self._number(limit, "upper", where)
-            if lower > upper:
-                self._fail(
-                    f"{where}: the lower limit {lower} is above the upper limit {upper}; swap them"
-                )
-        if limit is not None and kind != "fixed":
-            if limit.get("velocity") is not None:
-                velocity = self._number(limit, "velocity", where)
-            if limit.get("effort") is not None:
-                effort = self._number(limit, "effort", where)
-            if velocity < 0.0 or effort < 0.0:
-                self._fail(
-                    f"{where}: limits of velocity and effort must not be negative, got {velocity} and {effort}"
-                )
-        # no motor moves nothing at all: many exporters write 0 where nobody has stated a limit
-        return lower, upper, velocity or math.inf, effort or math.inf
+    def _range(
+        self, limit: ElementTree.Element | None, kind: str, where: str
+    ) -> tuple[float, float]:
+        """Smallest and largest position; of two limits, one that is left out is zero, by the format."""
+        stated = limit is not None and not {"lower", "upper"}.isdisjoint(limit.keys())
+        if kind not in ("revolute", "prismatic") or limit is None or not stated:
+            return -math.inf, math.inf
+        lower = self._number(limit, "lower", where, "0")
+        upper = self._number(limit, "upper", where, "0")
+        if lower > upper:
+            self._problems.append(
+                f"{where}: the lower limit {lower} is above the upper limit {upper}; swap them"
+            )
+        return lower, upper
+
+    def _rates(
+        self, limit: ElementTree.Element | None, kind: str, where: str
+    ) -> tuple[float, float]:
+        """Limits of velocity and effort; no motor moves nothing at all: many exporters write 0 where nobody has stated a limit."""
+        if limit is None or kind == "fixed":
+            return math.inf, math.inf
+        velocity = self._number(limit, "velocity", where, "0")
+        effort = self._number(limit, "effort", where, "0")
+        if velocity < 0.0 or effort < 0.0:
+            self._problems.append(
+                f"{where}: limits of velocity and effort must not be negative, got {velocity} and {effort}"
+            )
+        if kind != "prismatic" and effort > MOST_EFFORT:
+            effort = math.inf
+        return velocity or math.inf, effort or math.inf
 
     def _mimic(
         self, element: ElementTree.Element, kind: str, where: str
@@ -325,7 +349,7 @@ class UrdfReader:
             return None
         source = mimic.get("joint")
         if not source:
-            self._fail(f"{where}: <mimic> names no joint; add joint=..")
+            _wrong(f"{where}: <mimic> names no joint; add joint=..")
         return (
             source,
             self._number(mimic, "multiplier", where, "1"),
@@ -333,26 +357,37 @@ class UrdfReader:
         )
 
     def _check_mimics(self, joints: Mapping[str, Joint]) -> None:
+        before = len(self._problems)
         for joint in joints.values():
             seen = [joint.name]
             mimic = joint.mimic
             while mimic is not None:
                 source = mimic[0]
-                if source not in joints:
-                    self._fail(
-                        f"joint {seen[-1]!r} mimics an unknown joint {source!r}; joints: {', '.join(joints)}"
-                    )
                 if joints[source].kind == "fixed":
-                    self._fail(
+                    self._problems.append(
                         f"joint {seen[-1]!r} mimics {source!r}, which is fixed; let it mimic a joint that moves"
                     )
                 if source in seen:
                     circle = " -> ".join([*seen, source])
-                    self._fail(
+                    self._problems.append(
                         f"joints mimic each other in a circle: {circle}; leave one independent"
                     )
+                    break
                 seen.append(source)
                 mimic = joints[source].mimic
+        if len(self._problems) > before:
+            self._refuse()
+
+    def _freed(self, joints: dict[str, Joint]) -> dict[str, Joint]:
+        """With joints of their own where what they mimic is in no part of the document, as simulators take them."""
+        alone = [
+            j.name for j in joints.values() if j.mimic is not None and j.mimic[0] not in joints
+        ]
+        if alone:
+            self._notes.append(
+                f"mimic a joint that is not there, taken as joints of their own: {some(alone)}"
+            )
+        return joints | {name: replace(joints[name], mimic=None) for name in alone}
 
     def _root(
         self,

@@ -12,8 +12,9 @@ from dataclasses import dataclass
 
 from proprio_ros.quantity import Quantity
 from proprio_ros.robot.tree import RobotModel
+from proprio_ros.robot.urdf import MOST_EFFORT
 
-LARGEST_TORQUE = 1e3  # some URDFs state efforts that no motor has [N m]
+LARGEST_TORQUE = MOST_EFFORT  # of slides as of joints that turn
 RECORDED_TORQUE = {"value": 1.0, "std": 0.1}
 """Torque over that which was recorded: boards that estimate their motors' torque were seen to err by a tenth."""
 

@@ -42,7 +42,7 @@ def test_the_arm_is_the_sum_of_its_links(robot: Robot) -> None:
         rtol=1e-3,
         atol=1e-6,
     )
-    assert set(link_stds(robot)) == set(LINK_TERMS)
+    assert set(link_stds(robot, robot.model.links[0])) == set(LINK_TERMS)
 
 
 def test_a_locked_joint_that_stands_elsewhere(robot: Robot) -> None:

@@ -78,7 +78,7 @@ def test_text_that_is_decoded_already_is_not_decoded_again(tmp_path: Path) -> No
         ("<sdf/>", "not a <robot>"),
         (
             chain(joint("a"), links=link("base") + '<link name="one"/>'),
-            "no <inertial> in links that move: one",
+            "link one: <inertial> is missing",
         ),
         (chain(joint("a", kind="prismatic")), "no joint of arm turns"),
         (chain(joint("a", kind="fixed", limit="")), "no joint of arm turns"),

@@ -335,7 +335,7 @@ def test_a_bare_urdf_is_a_robot_once_its_torque_constants_are_stated(folder: Pat
 
 
 def test_links_that_move_without_mass_are_named(folder: Path) -> None:
-    links = link("base") + link("one", "") + link("two") + link("three", "")
+    links = link("base") + link("one", "") + link("two", "") + link("three", "")
     (folder / "arm.urdf").write_text(
         chain(
             joint("a"),
@@ -345,7 +345,7 @@ def test_links_that_move_without_mass_are_named(folder: Path) -> None:
         )
     )
     with pytest.raises(
-        RobotError, match=r"arm\.urdf: no <inertial> in links that move: one, three; state mass"
+        RobotError, match=r"arm\.urdf: links one, two, three: <inertial> is missing; state mass"
     ):
         load_robot(folder / "arm.urdf")
 

@@ -15,7 +15,7 @@ from proprio_ros.errors import RobotError
 from proprio_ros.inputs.resources import resource
 from proprio_ros.robot import ReducedModel, RobotModel, load_robot, rotation_from_rpy
 from proprio_ros.robot.geometry import transform
-from proprio_ros.robot.urdf import JOINT_KINDS
+from proprio_ros.robot.links import JOINT_KINDS
 
 GRAVITY = np.array([0.7, -1.9, -9.4])  # not along an axis, so that no component can be lost
 
@@ -422,11 +422,13 @@ BAD_LOCKS = {
     "followed": (FOLLOWED, ["a"], {"c": 0.0}, "joint 'a' of arm drives 'b' too"),
     "massless": (
         chain(
-            joint("a"), joint("b", "one", "two"), links=link("base") + link("one", "") + link("two")
+            joint("a"),
+            joint("jaw", "one", "two"),
+            links=link("base") + link("one") + link("two", ""),
         ),
-        ["a", "b"],
+        ["a", "jaw"],
         {},
-        "nothing that moves with joint 'a' of arm has mass: give link 'one' an <inertial>",
+        "nothing that moves with joint 'jaw' of arm has mass: give link 'two' an <inertial>",
     ),
 }
 

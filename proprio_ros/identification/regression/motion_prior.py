@@ -62,6 +62,19 @@ def body_stds(arm: Arm, share: float) -> list[float]:
     return stds
 
 
+def _unstated_stds(robot: Robot, arm: Arm) -> list[float]:
+    """The same of what the URDF does not state of links, and what was taken for it."""
+    kg = [0.0] * arm.count
+    for link in robot.model.links:
+        body = arm.model.frames[link.name][0]
+        if body >= 0:
+            kg[body] += link.spread.mass * float(link.pseudo_inertia[3, 3])
+    stds: list[float] = []
+    for mass_kg, length_m in zip(kg, arm.lengths_m, strict=True):
+        stds += sizes(mass_kg, length_m)
+    return stds
+
+
 def drive_stds(robot: Robot, arm: Arm) -> list[float]:
     """The same of rotors [kg m^2] and of the share that gears lose, length 2 n."""
     drives = [robot.drive_trains[name] for name in arm.model.joint_names]
@@ -78,7 +91,10 @@ def file_prior(robot: Robot, arm: Arm) -> Prior:
     All bodies may be heavier or lighter together: that is also what torque constants do that are off.
     """
     drives = [robot.drive_trains[name] for name in arm.model.joint_names]
-    stds = body_stds(arm, robot.link_mass_std or LINK_SHARE) + drive_stds(robot, arm)
+    bodies = body_stds(arm, robot.link_mass_std or LINK_SHARE)
+    unstated = _unstated_stds(robot, arm)
+    stds = [float(np.hypot(*both)) for both in zip(bodies, unstated, strict=True)]
+    stds += drive_stds(robot, arm)
     stds += [LEAST_TORQUE_STD] * len(drives)
     # until the fit knows Coulomb friction itself
     stds += [d.coulomb.std or 0.1 * arm.kg * arm.reach_m for d in drives] * WAVES
