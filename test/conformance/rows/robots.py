@@ -106,7 +106,6 @@ ROWS = (
         command=_NEW,
         make=_sticker,
         verdicts=(ACCEPTED,),
-        pending="a body of less than a gram without an inertia is refused in one sentence, which says what to do",
     ),
     Row(
         name="tool_frame_with_inertia",
@@ -116,7 +115,6 @@ ROWS = (
         command=_NEW,
         make=_tool_frame,
         verdicts=(ACCEPTED,),
-        pending="it is refused in one sentence, which says to leave it out",
     ),
     Row(
         name="hand_not_mounted",
