@@ -21,10 +21,14 @@ setup(
     name="proprio_ros",
     version="0.9.0",
     description="A robot arm's sense of weight and softness from its own joints",
+    # so that `pip install -e` puts the clone on the path: setuptools' own finder comes after a folder of the package's name, and a
+    # script beside the clone would import that
+    package_dir={"": "."},
     packages=find_packages(include=["proprio_ros", "proprio_ros.*"]),
     package_data={
         "proprio_ros": [
             "resource/*",
+            "launch/*.launch.py",
             "report/*.css",
             "report/*.js",
             "addons/*/*.css",

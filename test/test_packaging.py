@@ -58,6 +58,28 @@ def test_versions_agree(arguments: dict[str, Any]) -> None:
     }
 
 
+ROSDEP = {
+    "python3-matplotlib", "python3-numpy", "python3-pytest", "python3-ruamel.yaml", "python3-scipy", "python3-serial",
+}  # fmt: skip
+"""Keys of rosdep/python.yaml, and packages that Jazzy has: ros/rosdistro, commit 8468e88ccd."""
+RELEASED = {
+    "ament_index_python", "builtin_interfaces", "diagnostic_msgs", "dynamixel_sdk", "geometry_msgs", "launch", "launch_ros",
+    "rcl_interfaces", "rclpy", "robot_state_publisher", "rviz2", "sensor_msgs", "std_msgs", "std_srvs", "visualization_msgs",
+}  # fmt: skip
+
+
+def test_rosdep_knows_every_key_and_pip_installs_the_rest(arguments: dict[str, Any]) -> None:
+    root = ElementTree.parse(REPOSITORY / "package.xml").getroot()
+    keys = {element.text for element in root if element.tag.endswith("_depend")}
+    assert keys <= ROSDEP | RELEASED
+    apart = {"dynamixel-sdk": "dynamixel_sdk", "pyserial": "python3-serial"}
+    names = {Requirement(line).name for line in arguments["install_requires"]}
+    lacking = {name for name in names if apart.get(name, f"python3-{name}") not in keys}
+    page = (REPOSITORY / "docs" / "pages" / "arm.md").read_text()
+    (installed,) = re.findall(r"activate && pip install ([\w -]+)$", page, re.MULTILINE)
+    assert set(installed.split()) == lacking
+
+
 def test_every_data_file_is_installed(arguments: dict[str, Any]) -> None:
     installed = {
         source: target for target, sources in arguments["data_files"] for source in sources
@@ -74,6 +96,25 @@ def test_every_data_file_is_installed(arguments: dict[str, Any]) -> None:
         installed["proprio_ros/resource/proprio_ros"] == "share/ament_index/resource_index/packages"
     )
     assert installed["package.xml"] == "share/proprio_ros"
+
+
+def test_a_script_beside_the_clone_imports_the_package(
+    arguments: dict[str, Any], tmp_path: Path
+) -> None:
+    """A clone is a folder of the package's name: Python takes it for a package without code, unless the clone is on the path."""
+    setuptools_of = importlib.import_module("setuptools.command.editable_wheel")
+    packages = arguments["packages"]
+    folder = arguments["package_dir"]
+    # as setuptools chooses: a path, and not a finder that comes too late
+    assert set(folder) == {""}
+    assert setuptools_of._simple_layout(packages, folder, REPOSITORY)
+    (tmp_path / "proprio_ros").symlink_to(REPOSITORY)
+    (tmp_path / "script.py").write_text("import proprio_ros; print(proprio_ros.__version__)")
+    done = subprocess.run(
+        [sys.executable, "script.py"],
+        cwd=tmp_path, env={**os.environ, "PYTHONPATH": str(REPOSITORY)}, capture_output=True, text=True,
+    )  # fmt: skip
+    assert done.stdout.strip() == proprio_ros.__version__, done.stderr
 
 
 def test_entry_points_exist(arguments: dict[str, Any]) -> None:
