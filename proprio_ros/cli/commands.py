@@ -194,13 +194,16 @@ def robot_new(options: argparse.Namespace, given: Sequence[str]) -> int:
 
     output = Path(options.output)
     check_new_yaml(output, options.force)
-    new = new_robot_file(options.urdf, output, description_of, options.effort_unit == "N.m")
+    torque_recorded = options.effort_unit == "N.m"
+    new = new_robot_file(options.urdf, output, description_of, torque_recorded, options.tip)
     write_in_one_step(output, new.text, "--output")
     about = {
         "robot": new.name,
         "output": str(output),
         "joints": list(new.joints),
         "payload_frame": new.payload_frame,
+        "tip": new.tip,
+        "only_read": list(new.only_read),
     }
     stated = ", ".join(dict.fromkeys(key.rpartition(".")[2] for key in new.to_state))
     state = f"state: {stated} (marked in the file)" if stated else "use it with --effort-unit N.m"

@@ -245,6 +245,8 @@ def _robot(add: Callable[..., Parser]) -> None:
     new.add_argument(
         "--output", required=True, metavar="FILE.yaml", help="the robot file, for `--robot`"
     )
+    tip = "last link of the arm, on a robot with several: the joints up to there are driven, all others only read"
+    new.add_argument("--tip", metavar="LINK", help=tip)
     new.share("effort-unit", "force", "json")
     export = kinds.add_parser(
         "export",

@@ -186,6 +186,9 @@ class _Gravity(Numbers):
 ROBOT: dict[str, Field] = {
     "name": Field(Text("of the robot")),
     "payload_frame": Field(Text("link in which objects are held")),
+    "tip": Field(
+        Text("last link of the arm, where a robot has joints beside it: those are only read"), None
+    ),
     "gravity": Field(
         _Gravity(
             "in the frame of the root link",

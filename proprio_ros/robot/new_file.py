@@ -14,8 +14,9 @@ from typing import Any
 from proprio_ros.errors import RobotError, some
 from proprio_ros.inputs.forms import Field, Text, Truth
 from proprio_ros.quantity import Quantity
-from proprio_ros.robot.description import PACKAGE, check_masses, hand_link, read_model
+from proprio_ros.robot.description import PACKAGE, check_masses, read_model
 from proprio_ros.robot.fields import DRIVE_TRAIN, JOINT, MOTOR, NOMINAL, ROBOT, Uncertain
+from proprio_ros.robot.hands import arm_joints, hand_link, path_to, tip_of
 from proprio_ros.robot.links import Joint
 from proprio_ros.robot.tree import STANDARD_GRAVITY, RobotModel
 from proprio_ros.robot.urdf import MOST_EFFORT
@@ -44,6 +45,8 @@ class NewFile:
     notes: tuple[
         str, ...
     ]  # what was taken for something else than the URDF states, and what was left out
+    tip: str | None  # last link of the arm, where the robot has joints beside it
+    only_read: tuple[str, ...]  # joints that carry the arm and more, and those beside it
 
 
 def new_robot_file(
@@ -51,6 +54,7 @@ def new_robot_file(
     output: Path,
     of_bag: Callable[[Path], str] | None = None,
     torque_recorded: bool = False,
+    tip: str | None = None,
 ) -> NewFile:
     """Write down what a URDF says of a robot, and what must be stated beside it.
 
@@ -60,9 +64,11 @@ def new_robot_file(
         of_bag: Takes the URDF out of a bag.
         torque_recorded: Whether efforts are torque: then no torque constant is needed, and fingers, which only squeezes drive, are
             left out.
+        tip: Last link of the arm; None: of the only one.
 
     Raises:
-        RobotError, RecordingError: The description cannot be read, or links that move have no mass; these are named.
+        RobotError, RecordingError: The description cannot be read, links that move have no mass, or it is not said which of several
+            hands holds the object; these are named.
     """
     model = read_model(source, of_bag)
     if not model.independent_joints:
@@ -70,8 +76,9 @@ def new_robot_file(
             f"{source}: no joint of it moves: give the URDF of an arm, with revolute, continuous or prismatic joints"
         )
     check_masses(model, source if source.startswith(PACKAGE) else Path(source).name)
-    frame = hand_link(model)
-    values = {"name": model.name, "payload_frame": frame}
+    tip = tip or tip_of(model)
+    frame = hand_link(model, tip)
+    values = {"name": model.name, "payload_frame": frame, "tip": tip}
     lines = _head(model, torque_recorded)
     for key, entry in ROBOT.items():
         if key in _WRITTEN_BY_CALIBRATE:
@@ -82,15 +89,10 @@ def new_robot_file(
         if key == "name":
             words = "its description: a .urdf file, a bag, robot_descriptions:NAME"
             lines.append(_line(0, "urdf", _way(source, output), words))
-    lines += [
-        "",
-        "# delete a joint that has no motor, such as a wheel that rolls freely: it is then held",
-        "joints:",
-    ]
+    joints = _driven(model, tip, torque_recorded)
+    carrying, beside = _read_only(model, tip, joints)
+    lines += _before_joints(carrying, beside)
     to_state = []
-    moving = tuple(name for name in model.independent_joints if name not in model.idle_joints)
-    turning = tuple(name for name in moving if model.joint(name).kind != "prismatic")
-    joints = turning if torque_recorded and turning else moving
     for number, name in enumerate(joints):
         lines += _joint(model, name, explained=number == 0, torque_recorded=torque_recorded)
         if torque_recorded:
@@ -106,13 +108,77 @@ def new_robot_file(
         frame,
         tuple(to_state),
         unlimited,
-        _notes(model),
+        _notes(model, carrying, beside),
+        tip,
+        (*carrying, *beside),
     )
 
 
-def _notes(model: RobotModel) -> tuple[str, ...]:
+def _notes(
+    model: RobotModel,
+    carrying: tuple[str, ...],
+    beside: tuple[str, ...],
+) -> tuple[str, ...]:
+    """What was taken for something else than the URDF states, and what was left out.
+
+    Args:
+        model: The description.
+        carrying: Joints that carry the arm and more.
+        beside: Those beside it.
+    """
     idle = f"left out, since nothing that moves with them has mass: {some(model.idle_joints)}"
-    return (*model.notes, *[idle] * bool(model.idle_joints))
+    read = f"beside the arm, only read: {some(beside)}"
+    carried = (
+        f"the arm and more is carried by {some(carrying)}: positions count, efforts are not used"
+    )
+    return (
+        *model.notes,
+        *[idle] * bool(model.idle_joints),
+        *[carried] * bool(carrying),
+        *[read] * bool(beside),
+    )
+
+
+def _driven(model: RobotModel, tip: str | None, torque_recorded: bool) -> tuple[str, ...]:
+    """The joints that are listed as driven: those of the arm, or all where nothing is beside it."""
+    joints = model.independent_joints if tip is None else arm_joints(model, tip)
+    moving = tuple(name for name in joints if name not in model.idle_joints)
+    turning = tuple(name for name in moving if model.joint(name).kind != "prismatic")
+    return turning if torque_recorded and turning else moving
+
+
+def _read_only(
+    model: RobotModel,
+    tip: str | None,
+    joints: tuple[str, ...],
+) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Joints that carry the arm and more, and those beside it."""
+    if tip is None:
+        return (), ()
+    carrying = tuple(name for name in path_to(model, tip) if name not in joints)
+    others = {*model.independent_joints} - {*joints, *carrying}
+    return carrying, tuple(name for name in model.independent_joints if name in others)
+
+
+def _before_joints(carrying: tuple[str, ...], beside: tuple[str, ...]) -> list[str]:
+    """What is said before the joints."""
+    lines = [""]
+    if carrying:
+        lines.append(
+            f"# carry the arm and more, so their efforts are not used and their positions count: {', '.join(carrying)}"
+        )
+    if beside:
+        lines += textwrap.wrap(
+            f"beside the arm, only read: {', '.join(beside)}",
+            118,
+            initial_indent="# ",
+            subsequent_indent="#   ",
+        )
+    return [
+        *lines,
+        "# delete a joint that has no motor, such as a wheel that rolls freely: it is then held",
+        "joints:",
+    ]
 
 
 def _head(model: RobotModel, torque_recorded: bool) -> list[str]:

@@ -33,7 +33,6 @@ from proprio_ros.quantity import Quantity
 from proprio_ros.robot.description import (
     PACKAGE,
     check_masses,
-    hand_link,
     is_bag,
     is_description,
     read_model,
@@ -54,6 +53,7 @@ from proprio_ros.robot.fields import (
     without_unit,
 )
 from proprio_ros.robot.geometry import FloatArray, frozen
+from proprio_ros.robot.hands import arm_joints, hand_link, hands, path_to, tip_of
 from proprio_ros.robot.links import Joint
 from proprio_ros.robot.tree import RobotModel
 from proprio_ros.robot.wide import RECORDED_TORQUE, Wide, largest_torque
@@ -66,7 +66,7 @@ class Robot:
 
     name: str
     model: RobotModel
-    # drive_trains, motors: by joint; joints without a motor have none
+    # drive_trains, motors: by joint; joints without a motor, and those beside the arm, have none
     drive_trains: dict[str, DriveTrain]
     motors: dict[str, Motor]
     delay: Quantity  # from the stamp of a command to torque, less that of a position [s]
@@ -106,6 +106,7 @@ class Robot:
     drift: Drift = field(default_factory=Drift)  # how fast a calibration ages
     # where joints stand that a recording lacks [rad or m]
     held: Mapping[str, float] = field(default_factory=dict)
+    tip: str | None = None  # last link of the arm; None: every joint with a motor is of the arm
 
     def is_calibrated(self, joints: Iterable[str] | None = None) -> bool:
         """Whether the numbers come from this very arm, as its file says and as every calibration does.
@@ -185,14 +186,21 @@ _CONSTANT = "torque_constant_N_m_per_A"
 def _read_settings(
     path: Path,
     below: tuple[Path, ...] = (),
+    tip: Any = None,
 ) -> dict[str, Any]:
-    """One YAML file with all that it extends merged in, and the path of its URDF made absolute."""
+    """One YAML file with all that it extends merged in, and the path of its URDF made absolute.
+
+    Args:
+        path: Of the file, or of a description.
+        below: Files that extend it.
+        tip: Last link of the arm, where one is stated already.
+    """
     if path in below:
         raise RobotError(
             f"{path}: files extend each other in a circle: {' -> '.join(p.name for p in (*below, path))}"
         )
     if is_description(str(path)):
-        return bare_settings(str(path))
+        return bare_settings(str(path), tip if isinstance(tip, str) else None)
     try:
         settings = dict(mapping(yaml_of(text_of(path, RobotError))))
         for key in ("urdf", "extends"):
@@ -211,6 +219,7 @@ def _read_settings(
         base = _read_settings(
             _located(settings.pop("extends"), path.parent),
             (*below, path),
+            tip or settings.get("tip"),
         )
         for kind in CALIBRATIONS:
             if kind in settings:
@@ -262,20 +271,30 @@ def _located(name_or_path: str, folder: Path) -> Path:
     return resource("robots", name_or_path)
 
 
-def bare_settings(source: str) -> dict[str, Any]:
-    """What a description alone says of a robot (see `read_model`): its joints that turn have motors of which nothing is known."""
+def bare_settings(source: str, tip: str | None = None) -> dict[str, Any]:
+    """What a description alone says of a robot: the joints of its arm that turn have motors of which nothing is known.
+
+    Args:
+        source: As in `read_model`.
+        tip: Last link of the arm; None: of the only one.
+
+    Raises `RobotError`: It is no physical tree, or has several hands.
+    """
     model = read_model(source)
     check_masses(model, Path(source).name)
-    return {
+    tip = tip or tip_of(model)
+    joints = model.independent_joints if tip is None else arm_joints(model, tip)
+    settings = {
         "name": model.name,
         "urdf": source,
-        "payload_frame": hand_link(model),
+        "payload_frame": hand_link(model, tip),
         "joints": {
             name: {}
-            for name in model.independent_joints
+            for name in joints
             if model.joint(name).kind != "prismatic" and name not in model.idle_joints
         },
     }
+    return settings if tip is None else {**settings, "tip": tip}
 
 
 def _stated(settings: Mapping[str, Any]) -> dict[str, Any]:
@@ -348,6 +367,43 @@ def _joints_without(settings: Mapping[str, Any], model: RobotModel) -> dict[str,
     return without
 
 
+def _of_the_arm(settings: dict[str, Any], model: RobotModel) -> dict[str, Any]:
+    """The same without joints beside the arm, where it is said which link is its last: whatever drives those, they are only read.
+
+    Raises: FormError: None of the joints moves that link, or objects are held elsewhere.
+    """
+    tip = settings.get("tip")
+    stated = settings.get("joints")
+    frame = settings.get("payload_frame")
+    links = [link.name for link in model.links]
+    if not isinstance(tip, str) or not isinstance(stated, Mapping):
+        return settings
+    if tip not in links:
+        raise FormError(
+            f"tip: {model.name} has no link {tip!r}; its hands: {', '.join(hands(model))}"
+        )
+    of_arm = path_to(model, tip)
+    if not of_arm:
+        raise FormError(f"tip: no joint moves {tip}; the hands are {', '.join(hands(model))}")
+    if frame in links and not set(of_arm) <= set(path_to(model, frame)):
+        hand = hand_link(model, tip)
+        raise FormError(
+            f"payload_frame: {frame} is not moved by the arm that ends at {tip}; state {hand}, or a link that is fixed to it"
+        )
+    kept = {
+        name: joint
+        for name, joint in stated.items()
+        if name not in model.independent_joints
+        or name in of_arm
+        or of_arm[-1] in path_to(model, model.joint(name).child)
+    }
+    if not kept:
+        raise FormError(
+            f"tip: no joint of joints moves {tip}; state {_few(arm_joints(model, tip))}"
+        )
+    return {**settings, "joints": kept}
+
+
 def _few(names: Sequence[str], longest: int = 60) -> str:
     """As many names as fit, and how many more there are."""
     count = len(names)
@@ -366,15 +422,16 @@ def _robot(
     """A robot from merged settings; None: they name no URDF. Refuses what is wrong, or of another URDF."""
     settings = _stated(settings)
     try:
+        arm = settings if model is None else _of_the_arm(settings, model)
         if model is not None:
-            _check_stated(settings, source, model)
+            _check_stated(arm, source, model)
         # urdf and joints are listed for the message about unknown keys
         own = {key: value for key, value in settings.items() if key not in ("urdf", "joints")}
         given = section(own, ROBOT | ELSEWHERE)
         if model is None:
             raise FormError("urdf is missing; state the robot's URDF file")
         _check_model(given, model, settings.get("urdf"))
-        drive_trains, motors = _drive_trains(settings.get("joints", {}), model)
+        drive_trains, motors = _drive_trains(arm.get("joints", {}), model)
         robot = _assembled(given, model, drive_trains, motors, source, settings)
         if given["calibration"] is None:
             _check_digests(settings)
@@ -608,7 +665,7 @@ def load_robot(
     Raises `RobotError`: There is no such robot, or its file or its URDF is wrong.
     """
     path = _located(str(name_or_path), Path())
-    settings = _read_settings(path)
+    settings = _read_settings(path, tip=(overrides or {}).get("tip"))
     model = None if settings.get("urdf") is None else read_model(settings["urdf"], of_bag)
     if not overrides or model is None or settings.get("calibration") is not None:
         robot = _robot(settings, path, model)
@@ -627,7 +684,7 @@ def with_recorded_torque(
     Torque then counts as current of 1 N m/A, known to a tenth, at joints whose torque constant nobody states, or only as that 1.
     What the user states beside that stays, and what a calibration learnt.
     """
-    settings = _read_settings(_located(str(name_or_path), Path()))
+    settings = _read_settings(_located(str(name_or_path), Path()), tip=overrides.get("tip"))
     if any(settings.get(section) is not None for section in CALIBRATIONS) or not isinstance(
         settings.get("joints"), Mapping
     ):

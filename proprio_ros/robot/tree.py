@@ -161,7 +161,7 @@ class RobotModel:
         Args:
             active: Joints that move, in any order.
             positions: Of all other independent joints [rad or m]. Those of active joints and of joints that follow another, or that
-                the robot does not have, are not used.
+                the robot does not have, are not used. What stands beside the active joints, such as a head, may be left out.
             gravity: In the base frame [m/s^2], shape (3,).
 
         Raises:
@@ -175,6 +175,7 @@ class RobotModel:
                 "gravity must be three finite numbers in m/s^2, e.g. [0, 0, -9.81] where z is up"
             )
         inertias = {link.name: link.pseudo_inertia for link in self.links}
+        matter = self._carrying(active)
         frames: dict[str, tuple[int, FloatArray]] = {self.root: (-1, frozen(np.eye(4)))}
         moving: list[Joint] = []
         parents = []
@@ -190,9 +191,8 @@ class RobotModel:
                 body_from_link = np.eye(4)
                 moving.append(joint)
             else:
-                body_from_link = body_from_parent @ joint.transform(
-                    self._position(joint, positions)
-                )
+                beside = body < 0 and joint.name not in matter
+                body_from_link = body_from_parent @ self._held(joint, positions, beside)
             frames[joint.child] = (body, frozen(body_from_link))
             if body >= 0:
                 bodies[body] += body_from_link @ inertias[joint.child] @ body_from_link.T
@@ -211,6 +211,22 @@ class RobotModel:
             gravity=gravity,
             frames=frames,
         )
+
+    def _held(self, joint: Joint, positions: Mapping[str, float], beside: bool) -> FloatArray:
+        """parent_T_child of a joint that does not move; of one ``beside`` all that move it may be unknown where it stands."""
+        unknown = joint.kind != "fixed" and self.driving(joint)[0] not in positions
+        at = 0.0 if beside and unknown else self._position(joint, positions)
+        return joint.transform(at)
+
+    def _carrying(self, joints: Sequence[str]) -> set[str]:
+        """The joints on which some joints stand, and these."""
+        carrying = set()
+        for name in joints:
+            joint: Joint | None = self.joint(name)
+            while joint is not None and joint.name not in carrying:
+                carrying.add(joint.name)
+                joint = self._joints_by_child.get(joint.parent)
+        return carrying
 
     def _check_active(self, active: Sequence[str]) -> None:
         choices = ", ".join(self.independent_joints) or "none"

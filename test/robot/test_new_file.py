@@ -18,8 +18,9 @@ from proprio_ros.quantity import Quantity
 from proprio_ros.recordings.description import description_of, robot_named
 from proprio_ros.recordings.messages import message_types
 from proprio_ros.robot import load_robot, with_recorded_torque
-from proprio_ros.robot.description import hand_link, read_model
+from proprio_ros.robot.description import read_model
 from proprio_ros.robot.fields import DRIVE_TRAIN, JOINT, MOTOR, ROBOT
+from proprio_ros.robot.hands import hand_link
 from proprio_ros.robot.new_file import new_robot_file
 
 UR10E = Path(__file__).resolve().parents[3] / "shared" / "recordings_real" / "models" / "ur10e.urdf"
