@@ -79,7 +79,10 @@ def new_robot_file(
     tip = tip or tip_of(model)
     frame = hand_link(model, tip)
     values = {"name": model.name, "payload_frame": frame, "tip": tip}
-    lines = _head(model, torque_recorded)
+    joints = _driven(model, tip, torque_recorded)
+    carrying, beside = _read_only(model, tip, joints)
+    notes = _notes(model, carrying, beside)
+    lines = _head(model.name, notes, torque_recorded)
     for key, entry in ROBOT.items():
         if key in _WRITTEN_BY_CALIBRATE:
             continue
@@ -89,9 +92,11 @@ def new_robot_file(
         if key == "name":
             words = "its description: a .urdf file, a bag, robot_descriptions:NAME"
             lines.append(_line(0, "urdf", _way(source, output), words))
-    joints = _driven(model, tip, torque_recorded)
-    carrying, beside = _read_only(model, tip, joints)
-    lines += _before_joints(carrying, beside)
+    lines += [
+        "",
+        "# delete a joint that has no motor, such as a wheel that rolls freely: it is then held",
+        "joints:",
+    ]
     to_state = []
     for number, name in enumerate(joints):
         lines += _joint(model, name, explained=number == 0, torque_recorded=torque_recorded)
@@ -108,7 +113,7 @@ def new_robot_file(
         frame,
         tuple(to_state),
         unlimited,
-        _notes(model, carrying, beside),
+        notes,
         tip,
         (*carrying, *beside),
     )
@@ -160,39 +165,22 @@ def _read_only(
     return carrying, tuple(name for name in model.independent_joints if name in others)
 
 
-def _before_joints(carrying: tuple[str, ...], beside: tuple[str, ...]) -> list[str]:
-    """What is said before the joints."""
-    lines = [""]
-    if carrying:
-        lines.append(
-            f"# carry the arm and more, so their efforts are not used and their positions count: {', '.join(carrying)}"
-        )
-    if beside:
-        lines += textwrap.wrap(
-            f"beside the arm, only read: {', '.join(beside)}",
-            118,
-            initial_indent="# ",
-            subsequent_indent="#   ",
-        )
-    return [
-        *lines,
-        "# delete a joint that has no motor, such as a wheel that rolls freely: it is then held",
-        "joints:",
-    ]
-
-
-def _head(model: RobotModel, torque_recorded: bool) -> list[str]:
+def _head(
+    name: str,
+    notes: tuple[str, ...],
+    torque_recorded: bool,
+) -> list[str]:
     state = f"What says {STATE} must be stated before it can be used"
     if torque_recorded:
         state = "Efforts are torque, N m: use it with --effort-unit N.m"
     words = (
-        f"Robot file of {model.name}, written by `proprio robot new`. {state}; what says {CHECK} is a guess. Everything else has a "
+        f"Robot file of {name}, written by `proprio robot new`. {state}; what says {CHECK} is a guess. Everything else has a "
         "default, wide enough to hold on most arms: state what you know, and `proprio calibrate` learns the rest. An uncertain "
         "number is {value: .., std: ..}; a plain number is known exactly; null is left out, and what is left out has its default. "
         "Everything under `joints` counts at the motor's output shaft, gear included."
     )
     lines = textwrap.wrap(words, 118)
-    for note in _notes(model):
+    for note in notes:
         lines += textwrap.wrap(f"Note: {note}.", 118)
     return [*(f"# {line}" for line in lines), ""]
 

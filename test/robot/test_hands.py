@@ -70,7 +70,7 @@ def test_the_file_asks_for_constants_of_that_arm_alone(
     assert tuple(said["joints"]) == LEFT and said["tip"] == said["payload_frame"] == "left_tool0"
     assert len(said["to_state"]) == len(LEFT)
     assert {*TORSO, *HEAD, *WHEELS, "right_arm_1_joint"} < set(said["only_read"])
-    assert "carry the arm and more, so their efforts are not used" in output.read_text()
+    assert "the arm and more is carried by torso_lift_joint" in output.read_text()
     text = output.read_text().replace("A: null", "A: 2.0")
     output.write_text(text)
     assert tuple(load_robot(output).drive_trains) == LEFT

@@ -119,7 +119,7 @@ READ: dict[str, tuple[str, str]] = {
     ),
     "a wheel without limits": (
         arm(joint("w", "base", "wheel", limit='<limit effort="9" velocity="9"/>'), wheel=INERTIAL),
-        "",
+        "beside the arm, only read: w",
     ),
     "an upper limit alone": (
         arm(joint("w", "hand", "jaw", limit='<limit upper="0.5"/>'), jaw=INERTIAL),
