@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from proprio_ros.errors import RecordingError, one_line, printable
+from proprio_ros.quantity import Quantity
 
 FloatArray = NDArray[np.float64]
 TimeArray = NDArray[np.int64]
@@ -308,6 +309,8 @@ class Run:
     after_times_s: FloatArray = field(default_factory=lambda: np.zeros(0))
     # positions of the driven joint at those instants [rad or m], shape (A,). No fit follows them.
     after_position: FloatArray = field(default_factory=lambda: np.zeros(0))
+    # current by the driven joint's measured effort over what was commanded; None where nothing says it
+    delivered: Quantity | None = None
 
     @property
     def free(self) -> bool:

@@ -14,6 +14,8 @@ It is the section ``calibration`` of a robot file that ``extends`` the robot it 
       motors:                            # whose arm it is, where the recordings say so; without this section nothing is compared
         joint3: {model: 1020, id: 13, firmware: 46, homing_offset: 0, drive_mode: 0, moving_threshold: 10}
       made: {time_s: 1760000009.8, temperature_C: {joint3: 34.0}}   # when, by the clock of the recordings; see `drift`
+      delivered:                         # measured over commanded current, where the recordings say so
+        joint3: {value: 0.985, std: 0.002}
       start_velocity_rad_s: 0.003        # how still the joint is when its excitation begins; all numbers have ranges, see `RANGES`
       own_terms: |                       # of free responses, a line for each run, see `own_terms`
         0.14 0.015 ..
@@ -39,6 +41,7 @@ from proprio_ros.calibration_files.own_terms import OwnTerms, own_terms_of, own_
 from proprio_ros.calibration_files.section import (
     check_section,
     correlation_of,
+    exactly,
     part_of,
     read_under,
     runs_of,
@@ -98,6 +101,10 @@ _RUN: dict[str, Form] = {
     "current_A": Number(unit="A", lowest=-1e3, highest=1e3),
     "load_kg": Number(unit="kg", lowest=0.0, highest=1e3),
     "samples": Whole(lowest=0, highest=10**9),
+}
+_DELIVERED: dict[str, Form] = {
+    "value": Number(lowest=0.0, highest=10.0, open=True),
+    "std": Number(lowest=0.0, highest=10.0),
 }
 _TIME = Number("since 1970", "s", lowest=0.0, highest=1e11)
 _TEMPERATURE = Number("of a motor", "deg C", lowest=-273.0, highest=1e3)
@@ -171,6 +178,8 @@ class Calibration:
     onset_jitter_s: float = 0.0
     # when it was made, or since when it counts (see `drift`); None where the recordings do not say it
     made: Moment | None = None
+    # current by measured effort over that commanded in its runs, by joint where both were recorded
+    delivered: Mapping[str, Quantity] = field(default_factory=dict)
     # of each free response, dry and viscous friction by itself; none in older files, and of pushes
     own_terms: tuple[OwnTerms, ...] = ()
 
@@ -256,6 +265,11 @@ class Calibration:
         if self.swing_error > 0.0:
             settings["friction_spread"] = short(self.friction_spread)
             settings["swing_error_rad"] = short(self.swing_error)
+        if self.delivered:
+            settings["delivered"] = {
+                joint: {"value": short(share.value), "std": short(share.std)}
+                for joint, share in self.delivered.items()
+            }
         settings |= own_terms_text(self.own_terms)
         unknowns = {}
         for key, known in self.quantities.items():
@@ -296,9 +310,20 @@ class Calibration:
             runs=runs,
             motors=motors,
             made=made,
+            delivered=_delivered(section),
             own_terms=own_terms_of(section, len(runs), TERMS_OF_A_SWING),
             **_read_noise(section),
         )
+
+
+def _delivered(section: Mapping[str, Any]) -> dict[str, Quantity]:
+    """By joint what the file says of measured over commanded currents; older files say nothing."""
+    found = {}
+    given = part_of(section, "delivered", Mapping) if "delivered" in section else {}
+    for joint, entry in given.items():
+        with under("delivered", one_line(str(joint), 80)):
+            found[str(joint)] = Quantity(*exactly(entry, _DELIVERED))
+    return found
 
 
 def _read_noise(section: Mapping[str, Any]) -> dict[str, float]:

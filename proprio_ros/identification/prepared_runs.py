@@ -43,6 +43,8 @@ FOLLOWED_SHARE = 0.5
 FEWEST_NOISY, ALIKE_ROWS = 5, 0.5
 """Rows of a command without which nothing is said of its noise, and the correlation of neighbours from which on it is no noise."""
 MIN_SLOW = 3  # slow samples needed to relate reported effort to the command
+BY_CHANCE = 2.0
+"""Standard deviations by which a motor may seem to deliver another share of its command than in the calibration; more counts."""
 
 
 @dataclass(frozen=True)
@@ -80,7 +82,7 @@ class PreparedRun:
     # weight puts on the gears, with the sign of the velocity, see ``_weight_on_gears``
     yielding_times_s: np.ndarray | None = None
     yielding_load: np.ndarray | None = None
-    # standard deviation of the motor's torque by noise of its command that it did not follow [N m]
+    # standard deviation of the motor's torque by what its command says otherwise than the motor did [N m]
     current_torque_std: float = 0.0
     # payload that would load the gears as the arm does [kg]; only known of free swings
     arm_as_payload: float = 0.0
@@ -192,7 +194,9 @@ def prepare_run(
         raise RecordingError(f"{run.name}: {still}: probe a joint between the base and it")
     drive = robot.drive_trains[run.joint]
     joint = robot.model.joint(run.joint)
-    run, command_std_A = _steadied(at_the_shaft(robot, run))
+    run, command_std_A = _steadied(at_the_shaft(robot, run), drive)
+    # by effort, too, the mean of a noisy command is off: the larger of the two, since they are the same
+    command_std_A = max(command_std_A, _undelivered_A(robot, run))
     velocity = np.gradient(run.position, run.times_s)
     followed = _followed(run, velocity, drive)
     lower = joint.lower / drive.transmission
@@ -322,7 +326,22 @@ def _weight_on_gears(
     return arm / max(float(np.hypot(cos, sin)), 1e-12), moment * side
 
 
-def _steadied(run: Run) -> tuple[Run, float]:
+def _undelivered_A(robot: Robot, run: Run) -> float:
+    """What the motor delivered more or less of its command than in the calibration, where that is beyond chance [A].
+
+    A motor that always delivers a little less has a torque constant that is less by as much. Without a calibration the torque
+    constant is open by more than that.
+    """
+    if run.delivered is None or robot.calibration is None:
+        return 0.0
+    usual = robot.calibration.delivered.get(run.joint, Quantity(1.0))
+    off = abs(run.delivered.value - usual.value)
+    if off < BY_CHANCE * float(np.hypot(run.delivered.std, usual.std)):
+        return 0.0
+    return off * float(np.abs(run.input_current_A).max())
+
+
+def _steadied(run: Run, drive: DriveTrain) -> tuple[Run, float]:
     """The run with the mean of a command whose noise the motor did not follow, and that mean's standard deviation [A].
 
     A command that scatters from row to row while the motor reports a steady current was recorded with an error of its own in every
@@ -332,13 +351,18 @@ def _steadied(run: Run) -> tuple[Run, float]:
         return run, 0.0
     at = np.searchsorted(run.input_times_s, run.times_s, side="right") - 1
     command = run.input_current_A[at.clip(0)]
-    seen = np.isfinite(run.reported_effort) & (run.times_s > run.times_s[0])
+    speed = np.abs(np.gradient(run.position, run.times_s))
+    # a joint that is fast is not driven by what is commanded
+    seen = np.isfinite(run.reported_effort) & (speed < drive.usable_velocity)
+    seen &= run.times_s > run.times_s[0]
     mean = float(command[seen].mean()) if seen.any() else 0.0
     reported = float(run.reported_effort[seen].mean()) if seen.any() else 0.0
     if mean == 0.0 or reported == 0.0:
         return run, 0.0
     scatter = float(command[seen].std())
-    followed = float(run.reported_effort[seen].std()) * abs(mean / reported)
+    # the median: neighbours of fast samples and an outlier are no noise that was followed
+    away = np.abs(run.reported_effort[seen] - np.median(run.reported_effort[seen]))
+    followed = 1.4826 * float(np.median(away)) * abs(mean / reported)
     off = run.input_current_A - run.input_current_A.mean()
     alike = float(off[1:] @ off[:-1]) / float(off @ off)
     # an excitation that alternates goes on for some rows each way

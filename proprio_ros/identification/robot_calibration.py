@@ -62,7 +62,7 @@ from proprio_ros.identification.swings import (
 )
 from proprio_ros.identification.unknowns import Role
 from proprio_ros.kinds import label_of
-from proprio_ros.quantity import shown
+from proprio_ros.quantity import Quantity, shown
 from proprio_ros.records import Run
 from proprio_ros.robot import Robot
 from proprio_ros.sim.payload import PayloadFacts
@@ -82,6 +82,7 @@ UNLEARNT = 0.7
 INSEPARABLE = 0.95  # correlation above which two unknowns are determined only together
 MAYBE_NOT_EMPTY = 3.0  # standard deviations of a mass in the empty hand beyond which that is said
 SAID_AT_MOST = 6
+LEAST_SHARE_STD = 1e-4  # of its commands that a motor delivered
 HIDDEN_STARTS = 3
 HIDDEN_ITERATIONS = 20
 # with which the sensitivity to a mass in the empty hand is taken by difference
@@ -704,8 +705,28 @@ def _as_calibration(fitted: Fitted) -> Calibration:
         fitted.values[rows],
         fitted.covariance[np.ix_(shared, shared)],
         runs=tuple(map(entry_of, problem.runs)),
+        delivered=_delivered(problem.runs),
         **asdict(noise),
     )
+
+
+def _delivered(runs: Sequence[PreparedRun]) -> dict[str, Quantity]:
+    """By joint which share of its commands a motor delivered in all runs that say it."""
+    shares: dict[str, list[Quantity]] = {}
+    for run in runs:
+        if run.run.delivered is not None:
+            shares.setdefault(run.run.joint, []).append(run.run.delivered)
+    return {joint: _weighted_mean(values) for joint, values in shares.items()}
+
+
+def _weighted_mean(values: Sequence[Quantity]) -> Quantity:
+    """By inverse variances; where values differ by more than their standard deviations, that counts."""
+    weights = np.array([1.0 / max(each.std, LEAST_SHARE_STD) ** 2 for each in values])
+    numbers = np.array([each.value for each in values])
+    mean = float(weights @ numbers / weights.sum())
+    chi2 = float(weights @ (numbers - mean) ** 2)
+    apart = max(chi2 / max(len(values) - 1, 1), 1.0)
+    return Quantity(mean, float(np.sqrt(apart / weights.sum())))
 
 
 def _with_own_friction(

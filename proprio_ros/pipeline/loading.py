@@ -101,8 +101,8 @@ def _runs(recording: Recording, request: Request) -> tuple[Run, ...]:
     runs = cut_runs(recording, held=held, joints=list(request.robot.drive_trains))
     usable = {run.joint: request.robot.drive_trains[run.joint].usable_velocity for run in runs}
     refuse_pace_of_runs(recording, runs)
-    refuse_other_current(recording, request.reading.options.effort, usable)
-    return runs
+    delivered = refuse_other_current(recording, request.reading.options.effort, usable)
+    return tuple(replace(run, delivered=delivered.get(run.joint)) for run in runs)
 
 
 def _motion(recording: Recording, request: Request) -> Motion:

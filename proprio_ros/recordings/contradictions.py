@@ -6,8 +6,8 @@ two cannot both be right nothing is identified, since a mass goes with the curre
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
 from proprio_ros.errors import RecordingError
-from proprio_ros.quantity import EFFORTS
+from proprio_ros.quantity import EFFORTS, Quantity
 from proprio_ros.recordings.columns import JointColumns
 from proprio_ros.recordings.effort import CURRENT_PER_COUNT_A, EFFORT_UNITS, Effort, ampere
 from proprio_ros.recordings.noted import Noted
@@ -153,7 +153,7 @@ class Gain:
 
 def refuse_other_current(
     recording: Recording, effort: Effort, usable_velocity: Mapping[str, float]
-) -> None:
+) -> dict[str, Quantity]:
     """Look at commanded currents beside measured efforts, joint by joint, by their means over each push.
 
     A mean needs no command that stands still: noise of it averages out, and what is left of it is stated. Where the command is the
@@ -164,15 +164,17 @@ def refuse_other_current(
         effort: What the effort means.
         usable_velocity: Up to which the supply drives what a joint is commanded, by joint [rad/s].
 
+    Returns: the measured current over the commanded, by joint whose motor measures what our driver commanded.
+
     Raises:
         RecordingError: What flowed is not what was commanded.
     """
     record = recording.joints
+    delivered: dict[str, Quantity] = {}
     inputs = recording.commanded or recording.inputs
     if inputs is None or inputs.measured or inputs.computed or record.reported_effort is None:
-        return
-    if recording.commanded is None:
-        effort = replace(effort, unit=None)
+        return delivered
+    own = inputs.source.rpartition("/")[2] in {each.topic for each in OUR_DRIVER.inputs}
     for name, usable in usable_velocity.items():
         if name not in record.names or name not in inputs.names:
             continue
@@ -181,14 +183,27 @@ def refuse_other_current(
         if not stretches:
             continue
         gain = Gain.of(stretches)
-        per_A = _effort_per_ampere(name, gain, effort)
+        per_A = _effort_per_ampere(name, gain, effort, _units(effort, recording, own))
         if per_A is None:
             continue
-        own = inputs.source.rpartition("/")[2] in {each.topic for each in OUR_DRIVER.inputs}
         where = f"{recording.name}: by its effort"
         _refuse_gain(where, inputs.source, name, gain, per_A, effort, own)
         if own:
             _refuse_elsewhere(recording.name, inputs.source, readings, per_A.value)
+            size = abs(per_A.value)
+            delivered[name] = Quantity(abs(gain.value) / size, gain.std / size)
+    return delivered
+
+
+def _units(effort: Effort, recording: Recording, own: bool) -> set[str]:
+    """In which an effort may be, beside what was commanded.
+
+    Our driver publishes torque. An effort in A, which is 1.8 times as much, is taken beside its commands only where it is stated:
+    else a command that is half of what flowed would look like one.
+    """
+    if recording.commanded is not None and effort.unit is not None:
+        return {effort.unit}
+    return {unit for unit in EFFORT_UNITS if not own or unit != "A" or effort.unit == "A"}
 
 
 @dataclass(frozen=True)
@@ -304,13 +319,20 @@ def _effort_per_ampere(
     name: str,
     gain: Gain,
     effort: Effort,
+    units: Collection[str],
 ) -> PerAmpere | None:
-    """In the unit that is stated or else fits best; None where none does."""
+    """In that of the units that fits best; None where none does.
+
+    Args:
+        name: Of the joint.
+        gain: Effort per commanded current.
+        effort: What it was made with.
+        units: In which it may be. One alone is taken whether it fits or not.
+    """
     per_A = {unit: 1.0 / ampere(unit, effort.per_count_A) for unit in EFFORT_UNITS if unit != "N.m"}
     if effort.nominal.get(name, 0.0) > 0.0:
         per_A["N.m"] = effort.nominal[name]
-    if effort.unit is not None:
-        per_A = {unit: value for unit, value in per_A.items() if unit == effort.unit}
+    per_A = {unit: value for unit, value in per_A.items() if unit in units}
     if not per_A or gain.value == 0.0:
         return None
 
@@ -319,7 +341,7 @@ def _effort_per_ampere(
 
     unit = min(per_A, key=away)
     # effort in no unit that is known is compared with no command
-    if effort.unit is None and away(unit) > np.log(EFFORTS[unit].within):
+    if len(units) > 1 and away(unit) > np.log(EFFORTS[unit].within):
         return None
     return PerAmpere(
         unit,
