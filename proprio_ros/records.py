@@ -135,9 +135,10 @@ class JointRecord:
     effort: FloatArray | None = None
     # measured motor currents [A], shape (T, J); NaN where unknown; None if unknown everywhere
     current: FloatArray | None = None
-    # the effort field as it was recorded, in whatever unit its driver used, shape (T, J); NaN where a message gave
-    # none; None if none did. Good for "did the motor do as commanded", never for a torque.
+    # the effort field as it was recorded, with its stated sign, in whatever unit its driver used, shape (T, J); NaN where
+    # a message gave none; None if none did. Good for "did the motor do as commanded", never for a torque.
     reported_effort: FloatArray | None = None
+    turned: tuple[str, ...] = ()  # joints whose effort was multiplied by -1, as was stated
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "names", _names(self.names, "joint states"))

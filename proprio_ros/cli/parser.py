@@ -36,7 +36,7 @@ SHARED: dict[str, dict[str, Any]] = {
     "driver": {
         "metavar": "NAME|FILE",
         "help": "which driver published, and so where what stands and what its effort is: a profile of config/drivers, such as "
-        "ros2_control, or one of your own; the next three win over it",
+        "ros2_control, or one of your own; the next four win over it",
     },
     "state-topic": {"metavar": "T"},
     "command-topic": {"metavar": "T"},
@@ -44,6 +44,11 @@ SHARED: dict[str, dict[str, Any]] = {
         "type": lambda text: unit_called(text, EFFORTS),
         "choices": ("N.m", "A", "mA", "raw"),
         "help": "what `effort` of the joint states means; never guessed",
+    },
+    "effort-sign": {
+        "metavar": "SIGN|JOINT=SIGN,..",
+        "help": "-1 where `effort` has the sign of the torque that gravity makes, not of what holds against it, for all joints or "
+        "for those named; 1 undoes what a profile or the robot file says; never turned unasked",
     },
     "force": {"action": "store_true", "help": "replace an older file of that name, whatever it is"},
     "json": {"action": "store_true", "help": "print one JSON object"},
@@ -53,7 +58,7 @@ SHARED: dict[str, dict[str, Any]] = {
     },
 }
 """Options that several commands have."""
-TOPICS = ("driver", "state-topic", "command-topic", "effort-unit")
+TOPICS = ("driver", "state-topic", "command-topic", "effort-unit", "effort-sign")
 
 
 class UsageError(SystemExit):

@@ -84,7 +84,7 @@ REMEDIES = {
     "other_torque": "record both with the same driver, unit and torque constants, on the same arm",
     "other_zero": "put the joint together as it was, or calibrate again; where its URDF's zero is off, correct it there",
     "leans_on_zero": "add an empty-hand run of today with --baseline",
-    "misread_joint": "turn the sign, or the names, where they are published, or the joint's axis in the URDF",
+    "misread_joint": "state an effort's sign (--effort-sign); turn positions or names where they are published, or an axis",
     "lighter_than_empty": "see that bags are not swapped, and that the baseline's hand was empty",
     "says_too_little": "move faster, further and longer, through more attitudes of the hand; for a reference take a heavier one",
     "one_sided": "squeeze harder, or with several currents; calibrate the gripper",

@@ -10,6 +10,7 @@ from typing import Any
 
 from proprio_ros.identification.regression.at_rest import StandingEstimator
 from proprio_ros.identification.regression.online import OnlineEstimate, Stretch
+from proprio_ros.inputs.signs import Signs
 from proprio_ros.live.news import WARNED_S
 from proprio_ros.live.stall_current import StallCurrents
 from proprio_ros.probes.base import Carried, Online
@@ -73,6 +74,7 @@ class OnlineFeed:
         robot: The arm, with a calibration of motions.
         facts: What the user states of the object.
         stated: Where joints stand, whatever is heard of them [rad or m]; the robot's file says it of those that are not heard.
+        signs: By what efforts are multiplied.
 
     Attributes:
         others: Joints that are not in the calibration and count as standing.
@@ -91,9 +93,11 @@ class OnlineFeed:
         robot: Robot,
         facts: Any,
         stated: Mapping[str, float] | None = None,
+        signs: Signs | None = None,
     ) -> None:
         assert robot.motion_calibration is not None
         self._stated = dict(stated or {})
+        self._signs = signs or Signs()
         self.probe = probe
         self._robot = robot
         self._facts = facts
@@ -235,7 +239,8 @@ class OnlineFeed:
                     self.waits_for = f"nobody says where {name} is sent: {remedy}"
                 self._latest[name] = _Reading(at, current)
             elif name in self._per_current:
-                current = current_A(value, unit, self._per_current[name])
+                own = self._signs.of(name) * value
+                current = current_A(own, unit, self._per_current[name])
                 self._latest[name] = _Reading(at, current)
 
     def _estimated(self, time_s: float) -> OnlineEstimate | None:

@@ -33,7 +33,6 @@ from proprio_ros.pipeline.loading import bag_runs, standing
 from proprio_ros.pipeline.request import Options, Request, read_request, request_of, robot_of
 from proprio_ros.probes import all_probes
 from proprio_ros.probes.base import EstimatesLive, Guards, HasBaseline, Probe
-from proprio_ros.recordings.effort import Effort
 from proprio_ros.recordings.for_robot import motors_notes
 from proprio_ros.recordings.messages import RawMessage
 from proprio_ros.recordings.runs import cut_runs
@@ -355,9 +354,10 @@ def check_input(
     asked = replace(
         request.reading.options,
         # at rest nothing says what it means, and nothing asks
-        effort=Effort(request.unit or "raw", request.effort_per_current),
+        effort=replace(request.reading.options.effort, unit=request.unit or "raw"),
         command_topic=command if heard else None,
         span=None,
+        fits_names=False,  # live, joints are heard by the names that a profile states
         states_only=False,
     )
     try:
@@ -381,7 +381,7 @@ def check_input(
 def as_parameters(sentence: str) -> str:
     """The same with options of the command line called what they are called in a node."""
     sentence = sentence.replace("--set ", "the parameter settings with ")
-    known = r"--(robot|driver|calibration|data-directory|[a-z]+-topic|effort-unit)\b"
+    known = r"--(robot|driver|calibration|data-directory|[a-z]+-topic|effort-unit|effort-sign)\b"
     return re.sub(known, lambda found: f"the parameter {found[1].replace('-', '_')}", sentence)
 
 
@@ -410,7 +410,15 @@ def replay_command(bag: Path, options: Options) -> str:
         "--probe",
         options.probe,
     ]
-    for name in ("robot", "calibration", "driver", "state_topic", "command_topic", "effort_unit"):
+    for name in (
+        "robot",
+        "calibration",
+        "driver",
+        "state_topic",
+        "command_topic",
+        "effort_unit",
+        "effort_sign",
+    ):
         if getattr(options, name):
             words += [f"--{name.replace('_', '-')}", str(getattr(options, name))]
     if options.baseline:

@@ -97,6 +97,7 @@ class Inputs:
         values = self._node.values
         topics: dict[str, Any] = {
             "effort_unit": values["effort_unit"] or None,
+            "effort_sign": values["effort_sign"] or None,
             "driver": values["driver"] or None,
         }
         for option, usual in (

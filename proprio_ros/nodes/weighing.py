@@ -81,7 +81,12 @@ class Weighing:
             probe = probe_at_work()
             request = self._workspace.request(probe, stated, None)
             self._make_feed = partial(
-                OnlineFeed, probe, request.robot, request.facts, request.locked
+                OnlineFeed,
+                probe,
+                request.robot,
+                request.facts,
+                request.locked,
+                request.effort_sign,
             )
             self._make_feed()  # so that a calibration of another arm is refused now
             link = request.robot.payload_frame

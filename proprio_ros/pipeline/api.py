@@ -31,6 +31,7 @@ from proprio_ros.inputs.forms import (
     under,
 )
 from proprio_ros.inputs.settings import read
+from proprio_ros.inputs.signs import EFFORT_SIGN
 from proprio_ros.pipeline.calibrate import calibrate_from_bags, plan_excitations
 from proprio_ros.pipeline.check import check_bags
 from proprio_ros.pipeline.looked_into import BagCheck
@@ -405,6 +406,7 @@ def weigh(
     state_topic: str | None = None,
     command_topic: str | None = None,
     effort_unit: str | None = None,
+    effort_sign: int | str | Mapping[str, int] | None = None,
     **facts: Mapping[str, Any],
 ) -> Weighing:
     """Identify what the hand holds from recorded bags; all of them are of one object.
@@ -420,10 +422,11 @@ def weigh(
         settings: As for ``--set``, by dotted key: ``{"payload.com": [0, 0, 0.01]}``.
         solver: ``lm``, ``adam`` or ``cma``.
         profile: ``default``, or ``paper`` for the paper's own method.
-        driver: Profile of the driver that published, a name of ``config/drivers`` or a file; the next three win over it.
+        driver: Profile of the driver that published, a name of ``config/drivers`` or a file; the next four win over it.
         state_topic: Of the joint states, where the bag has several.
         command_topic: Of the input, where it has an unusual name.
         effort_unit: What effort of the joint states means: ``N.m``, ``A``, ``mA`` or ``raw``.
+        effort_sign: -1 where efforts are counted the other way round, of all joints or by joint.
         **facts: The same by section: ``payload={"com": [0, 0, 0.01]}``, ``block={"size": 0.03}``.
 
     Raises:
@@ -449,6 +452,7 @@ def calibrate(
     state_topic: str | None = None,
     command_topic: str | None = None,
     effort_unit: str | None = None,
+    effort_sign: int | str | Mapping[str, int] | None = None,
     progress: Callable[[str], None] = lambda _: None,
     **facts: Mapping[str, Any],
 ) -> CalibrationResult:
@@ -465,6 +469,7 @@ def calibrate(
         state_topic: Of the joint states.
         command_topic: Of the input.
         effort_unit: What effort means.
+        effort_sign: Which way it counts.
         progress: Called with sentences on what is going on.
         **facts: About the reference, by section.
 
@@ -539,6 +544,7 @@ def check(
     state_topic: str | None = None,
     command_topic: str | None = None,
     effort_unit: str | None = None,
+    effort_sign: int | str | Mapping[str, int] | None = None,
     settings: Mapping[str, Any] | None = None,
 ) -> Checks:
     """What is in each bag, which input would be used, and which runs: before any fit.
@@ -550,6 +556,7 @@ def check(
         state_topic: Of the joint states.
         command_topic: Of the input.
         effort_unit: What effort means.
+        effort_sign: Which way it counts.
         settings: By dotted key; what is stated about an object is not looked at.
 
     Returns:
@@ -573,6 +580,11 @@ def _word(value: Any) -> str:
     if not isinstance(value, str):
         raise FormError(f"expected a text, got {shortly(value)}")
     return value
+
+
+def _sign(value: Any) -> str:
+    """As the command line takes it."""
+    return str(EFFORT_SIGN.read(value))
 
 
 def _several(value: Any, what: str) -> list[Any]:
@@ -627,6 +639,7 @@ _ARGUMENTS: dict[str, Form] = {
     **dict.fromkeys(("calibration", "robot", "driver", "output"), _PERHAPS_PATH),
     **dict.fromkeys(("probe", "solver", "profile"), Part(by=_word)),
     **dict.fromkeys(("state_topic", "command_topic", "effort_unit"), _PERHAPS_WORD),
+    "effort_sign": Perhaps(form=Part(by=_sign)),
     "settings": Perhaps(form=_FACTS),
     "references": Perhaps(form=Part(by=_known)),
     "masses": Part(by=_masses),

@@ -32,7 +32,7 @@ from proprio_ros.pipeline.request import Options, Request, read_request
 from proprio_ros.probes import all_probes
 from proprio_ros.recordings.contents import Contents
 from proprio_ros.recordings.drivers import drivers_of
-from proprio_ros.recordings.effort import EFFORT_UNITS, Effort
+from proprio_ros.recordings.effort import EFFORT_UNITS, Effort, effort_sign_option
 from proprio_ros.recordings.effort_units import EffortUnit, plausible_units
 from proprio_ros.recordings.motions import SLOWEST_HZ, Motion, motion_of
 from proprio_ros.recordings.plausibility import Finding, findings, moving
@@ -138,6 +138,7 @@ def _looked_into(source: RecordingSource, request: Request, contents: Contents) 
         effort=Effort(None, {}),
         command_topic=None,
         span=None,
+        fits_names=False,
         states_only=True,
     )
     try:
@@ -203,6 +204,7 @@ def _shown(
         still=tuple(name for name in names if name not in moved),
         findings=seen,
         effort_units=units,
+        sign_option=effort_sign_option(names, names, recording.joints.turned),
         effort_per_N_m=per_torque,
         tells=tells,
     )

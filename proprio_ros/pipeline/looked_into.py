@@ -119,6 +119,7 @@ class BagCheck:
     findings: tuple[Finding, ...] = ()  # what the recording shows of itself
     # how the effort would compare with what gravity needs if it were in one unit or another
     effort_units: tuple[EffortUnit, ...] = ()
+    sign_option: str = ""  # with which efforts of all joints count the other way
     # the effort over what gravity needs, by joint, in the publisher's unit
     effort_per_N_m: Mapping[str, float] = field(default_factory=dict)
     tells: MotionCheck | None = None  # what a motion determines
@@ -239,7 +240,8 @@ class BagCheck:
             lines.append(f"  were it a current and the hand empty, {would}")
         if all(value < 0.0 for value in self.effort_per_N_m.values()):
             lines.append(
-                "  the effort has the sign of the torque that gravity makes, not of what holds against it"
+                "  the effort has the sign of the torque that gravity makes, not of what holds against it: where its publisher "
+                f"counts it so, and the arm does not hang, {self.sign_option} states it"
             )
         return lines
 

@@ -16,6 +16,7 @@ import numpy as np
 from proprio_ros.errors import ConfigurationError, RobotError
 from proprio_ros.inputs.forms import Number
 from proprio_ros.inputs.settings import Settings, read
+from proprio_ros.inputs.signs import EFFORT_SIGN, Signs
 from proprio_ros.probes import all_probes, probe_named
 from proprio_ros.probes.base import Probe
 from proprio_ros.quantity import EFFORTS, unit_called
@@ -53,6 +54,7 @@ class Options:
     state_topic: str | None = None
     command_topic: str | None = None
     effort_unit: str | None = None
+    effort_sign: str | None = None  # as `EFFORT_SIGN` reads it
     # profile of the driver that published; topics and unit that are stated beside it win
     driver: str | Path | None = None
     span: Span | None = None  # the part of each recording that is read; of a baseline all is
@@ -105,6 +107,16 @@ class Request:
         return _unit(self.options, self.driver)
 
     @property
+    def effort_sign(self) -> Signs:
+        """Which way efforts count: as the user says, else the robot file, else the profile.
+
+        Raises `ConfigurationError`: What the user says is no sign, or of a joint that the robot does not have.
+        """
+        stated = _stated_sign(self.options, self.robot)
+        published = Signs() if self.driver is None else self.driver.effort_sign
+        return stated.over(self.robot.effort_sign).over(published)
+
+    @property
     def effort_per_current(self) -> dict[str, float]:
         """What published efforts of each joint are made with [N m/A or N/A]."""
         return {
@@ -114,12 +126,12 @@ class Request:
 
     @property
     def reading(self) -> RobotReading:
-        """How recordings are read. Raises `ConfigurationError`: The unit of the effort is unknown."""
+        """How recordings are read. Raises `ConfigurationError`: The unit or the sign of the effort is unknown."""
         robot = self.robot
         stated = self.options
         joints = {name: robot.model.joint(name) for name in robot.model.independent_joints}
         options = ReadOptions(
-            Effort(self.unit, self.effort_per_current),
+            Effort(self.unit, self.effort_per_current, signs=self.effort_sign),
             list(robot.drive_trains),
             self.conventions,
             stated.state_topic,
@@ -150,6 +162,7 @@ def read_request(
     driver = usable_driver(options.driver)
     settings = Settings(options.settings)
     robot, overrides = _configured(options, settings, _unit(options, driver))
+    _stated_sign(options, robot)
     locked = _locked(robot, settings)
     stated = facts(settings)
     settings.refuse_rest()
@@ -216,6 +229,20 @@ def robot_of(options: Options) -> Robot:
 
 def _unit(options: Options, driver: Driver | None) -> str | None:
     return options.effort_unit or (None if driver is None else driver.effort_unit)
+
+
+def _stated_sign(options: Options, robot: Robot) -> Signs:
+    """Raises `ConfigurationError`: It is no sign, or of a joint that the robot does not have."""
+    if options.effort_sign is None:
+        return Signs()
+    signs = read("--effort-sign", options.effort_sign, EFFORT_SIGN)
+    joints = robot.model.independent_joints
+    for name in signs.joints:
+        if name not in joints:
+            raise ConfigurationError(
+                f"--effort-sign: {robot.name} has no joint {name!r}; it has {', '.join(joints)}"
+            )
+    return signs
 
 
 def _locked(robot: Robot, settings: Settings) -> dict[str, float]:

@@ -25,6 +25,7 @@ from proprio_ros.inputs.reading import json_of, path_problem, text_of
 from proprio_ros.quantity import POSITIONS
 from proprio_ros.recordings.arrivals import of_bursts
 from proprio_ros.recordings.clocks import in_order, is_counted
+from proprio_ros.recordings.joint_names import fitted_names
 from proprio_ros.recordings.read_options import Columns, ReadOptions
 from proprio_ros.recordings.sign_bits import without_sign_bits
 from proprio_ros.version import to_install
@@ -367,6 +368,7 @@ class _Frames:
     position: records.FloatArray  # [rad or m], (T, J)
     effort: records.FloatArray  # in its own unit, NaN where there is none, (T, J)
     goals: Mapping[str, records.FloatArray]  # where joints were sent [rad or m], (T,) each
+    notes: tuple[str, ...] = ()
 
 
 def read_episode(
@@ -410,7 +412,7 @@ def read_episode(
         called,
         record,
         options.effort.measured(record),
-        (*steps, *left_out, *decoded),
+        (*frames.notes, *steps, *left_out, *decoded),
         signals=_goal_signals(times_s, times_ns, frames, whole),
     )
 
@@ -444,6 +446,8 @@ def _frames(
             "pos",
         )
     times_ns = _times(data, read)
+    fitted = fitted_names(Path(called), options.conventions.renamed(tuple(position)), options)
+    options = fitted.options
     joints = _in_si(position, columns, options)
     if len(joints) != len(position):
         raise RecordingError(
@@ -459,6 +463,7 @@ def _frames(
         np.column_stack(list(joints.values())),
         np.column_stack([measured.get(name, nothing) for name in position]),
         _in_si(goals, columns, options),
+        fitted.notes,
     )
 
 

@@ -7,6 +7,7 @@ import numpy as np
 from proprio_ros.errors import RecordingError
 from proprio_ros.recordings.clocks import Clock, clock_of, messages_at
 from proprio_ros.recordings.columns import joint_state_columns
+from proprio_ros.recordings.joint_names import fitted_names
 from proprio_ros.recordings.messages import stamp_ns
 from proprio_ros.recordings.read_options import ReadOptions
 from proprio_ros.recordings.reader import Bag
@@ -42,6 +43,7 @@ def drive_signals_in(bag: Bag, options: ReadOptions) -> DriveSignals:
     if goal is None and battery is None:
         return NOTHING
     states = joint_state_columns(bag, state, ["position"], options.conventions)
+    options = fitted_names(bag.path, states.names, options).options
     clock = clock_of(state.name, states)
     ahead_ns = clock.mended(states).clock_ns()
     goal_ns, names, goals = NOTHING.goal_ns, NOTHING.names, NOTHING.goals

@@ -27,6 +27,7 @@ from proprio_ros.inputs.forms import (
 )
 from proprio_ros.inputs.reading import path_problem, yaml_file
 from proprio_ros.inputs.resources import resource, resource_names
+from proprio_ros.inputs.signs import EFFORT_SIGN, Signs
 from proprio_ros.quantity import EFFORTS, POSITIONS, Unit
 from proprio_ros.recordings.effort import EFFORT_UNITS
 from proprio_ros.recordings.read_options import POSITION_UNITS, Columns
@@ -150,6 +151,7 @@ FORMS: dict[str, Form] = {
         "what effort of the joint states is; null: the profile does not say, so that `--effort-unit` or the robot file must",
         Choice(words=EFFORT_UNITS, units=EFFORTS),
     ),
+    "effort_sign": EFFORT_SIGN,
     "position_unit": Choice(
         "of positions and velocities, goals among them; default rad. Degrees are read from bags, not live",
         ("rad", "degree"),
@@ -194,6 +196,7 @@ class Driver:
     effort_unit: str | None = None  # what effort of its joint states is; None where it does not say
     refused: str = ""  # why nothing can be weighed with it, or an empty string
     notes: tuple[str, ...] = ()  # what to know about it, one sentence each
+    effort_sign: Signs = field(default_factory=Signs)  # by what its efforts are multiplied
     # topics without a namespace, or types, of which any identifies it
     recognised_by: tuple[str, ...] = ()
     extends: tuple[str, ...] = ()  # names of the profiles that it extends
@@ -227,7 +230,15 @@ def load_driver(name_or_path: str | Path) -> Driver:
         names=settings.get("joint_names", {}),
         radians=POSITIONS[settings.get("position_unit", "rad")].in_si,
     )
-    of_driver = ("title", "effort_unit", "refused", "notes", "recognised_by", "columns")
+    of_driver = (
+        "title",
+        "effort_unit",
+        "effort_sign",
+        "refused",
+        "notes",
+        "recognised_by",
+        "columns",
+    )
     stated = {key: settings[key] for key in of_driver if key in settings}
     return Driver(name, conventions=ours, extends=parents, **stated)
 

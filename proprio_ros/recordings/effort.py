@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from proprio_ros.errors import ConfigurationError
+from proprio_ros.inputs.signs import Signs
 from proprio_ros.quantity import COUNT, EFFORTS, unit_called
 from proprio_ros.records import MEASURED_EFFORT, FloatArray, InputRecord, JointRecord, TimeArray
 
@@ -46,6 +47,23 @@ def known_or_none(values: FloatArray) -> FloatArray | None:
     return None if bool(np.isnan(values).all()) else values
 
 
+def effort_sign_option(
+    joints: Sequence[str], wrong: Collection[str], turned: Collection[str]
+) -> str:
+    """The option with which the efforts of some joints count the other way than they did.
+
+    Args:
+        joints: All of the arm that have a motor.
+        wrong: Those of them whose effort counts the wrong way.
+        turned: Those whose effort was multiplied by -1, as was stated.
+    """
+    signs = {joint: -1 if (joint in turned) != (joint in wrong) else 1 for joint in joints}
+    every = 1 if sum(signs.values()) > 0 else -1
+    others = [f"{joint}={sign}" for joint, sign in signs.items() if sign != every]
+    stated = [] if others and every == 1 and not turned else [str(every)]
+    return f"--effort-sign {','.join([*stated, *others])}"
+
+
 @dataclass(frozen=True)
 class Effort:
     """What effort is, as the user states it; an unknown unit is refused (`ConfigurationError`)."""
@@ -54,6 +72,7 @@ class Effort:
     # torque constants with which efforts were made of currents, by joint [N m/A or N/A]
     nominal: Mapping[str, float]
     per_count_A: float = CURRENT_PER_COUNT_A  # current of one raw count [A]
+    signs: Signs = field(default_factory=Signs)  # by what recorded efforts are multiplied
 
     def __post_init__(self) -> None:
         if self.unit is not None:
@@ -88,14 +107,16 @@ class Effort:
         Returns:
             The joint states.
         """
-        reported = known_or_none(recorded)
+        signs = np.array([self.signs.of(name) for name in names], dtype=np.float64)  # (J,)
+        reported = known_or_none(signs * recorded)
         effort = current = None
         if reported is not None and self.unit == "N.m":
             effort = reported
             current = known_or_none(reported / self.constants(names))
         elif reported is not None and self.unit is not None:
             current = reported * ampere(self.unit, self.per_count_A)
-        return JointRecord(times_ns, names, position, velocity, effort, current, reported)
+        turned = self.signs.turned(names)
+        return JointRecord(times_ns, names, position, velocity, effort, current, reported, turned)
 
     def measured(self, record: JointRecord) -> InputRecord | None:
         """Input from what the motors reported; None where no joint's current is known."""

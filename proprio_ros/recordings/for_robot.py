@@ -9,8 +9,9 @@ from pathlib import Path
 import numpy as np
 
 from proprio_ros.calibration_files.motors import Motors, other_arm, other_firmware
-from proprio_ros.errors import RecordingError
+from proprio_ros.errors import RecordingError, some
 from proprio_ros.recordings.drivers import Driver
+from proprio_ros.recordings.effort import effort_sign_option
 from proprio_ros.recordings.effort_units import plausible_units
 from proprio_ros.recordings.jumps import without_jumps
 from proprio_ros.recordings.read_options import ReadOptions
@@ -132,6 +133,22 @@ def motors_notes(
     return (f"other firmware than when {robot.source.name} was made: {updated}: calibrate again",)
 
 
+def _with_turned_efforts_noted(
+    recording: Recording, source: RecordingSource, reading: RobotReading
+) -> Recording:
+    """A note where efforts count the other way round than they were recorded."""
+    record = recording.joints
+    if not record.turned or record.reported_effort is None:
+        return recording
+    which = (
+        "all joints"
+        if set(record.turned) >= set(reading.robot.drive_trains)
+        else some(record.turned)
+    )
+    note = f"the effort of {which} was multiplied by -1, as effort_sign states"
+    return replace(recording, notes=(*recording.notes, note))
+
+
 def _in_a_plausible_unit(
     recording: Recording, source: RecordingSource, reading: RobotReading
 ) -> Recording:
@@ -140,13 +157,23 @@ def _in_a_plausible_unit(
     if driver is None:
         return recording
     _, units = plausible_units(recording, reading.robot)
-    notes = tuple(
-        f"effort in {each.unit} (--driver {driver.name}) is {np.median(list(each.ratio.values())):.2g} times the torque "
-        "that gravity needs by the URDF, and an empty hand gives 1: is it this driver, and are the torque constants right?"
-        for each in units
-        if each.unit == reading.options.effort.unit and not each.plausible
-    )
-    return replace(recording, notes=recording.notes + notes)
+    notes = []
+    for each in units:
+        if each.unit != reading.options.effort.unit or each.plausible:
+            continue
+        ratio = float(np.median(list(each.ratio.values())))
+        remedy = "is it this driver, and are the torque constants right?"
+        if ratio < 0.0:
+            joints = list(reading.robot.drive_trains)
+            option = effort_sign_option(joints, joints, recording.joints.turned)
+            remedy = (
+                f"is it counted the other way round ({option} states it), or does the arm hang?"
+            )
+        notes.append(
+            f"effort in {each.unit} (--driver {driver.name}) is {ratio:.2g} times the torque that gravity needs by the URDF, and "
+            f"an empty hand gives 1: {remedy}"
+        )
+    return replace(recording, notes=(*recording.notes, *notes))
 
 
 def _of_known_torque(
@@ -172,6 +199,7 @@ STEPS: tuple[Step, ...] = (
     _with_stall_currents,
     _named,
     _of_these_motors,
+    _with_turned_efforts_noted,
     _in_a_plausible_unit,
     _of_known_torque,
 )

@@ -45,6 +45,7 @@ class Motion:
     # how well its clock is known: of the logarithm of its pace, and of how late currents are [s]; one standard deviation
     pace_std: float = 0.0
     lag_std_s: float = 0.0
+    turned: tuple[str, ...] = ()  # joints whose effort was multiplied by -1, as was stated
 
     @property
     def moved(self) -> tuple[str, ...]:
@@ -144,6 +145,7 @@ def motion_of(
         left_out=left_out,
         begin_ns=int(record.times_ns[0]),
         beside={joint: record.position[:, record.column(joint)] for joint in others},
+        turned=record.turned,
     )
     if not (standing or motion.moved):
         raise TooLittleMotion(

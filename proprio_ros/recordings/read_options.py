@@ -44,6 +44,8 @@ class ReadOptions:
     command_topic: str | None = None
     # the part that is read, by the recorder's times; None: all. A command that was given before it is not known
     span: Span | None = None
+    # whether names that are the robot's but for a prefix or a suffix are taken for them
+    fits_names: bool = True
     states_only: bool = False  # whether to leave the input out, whatever there is of it
     # which column of a data set is what; None: nobody says it, and no episode is read
     columns: Columns | None = None

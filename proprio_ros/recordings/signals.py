@@ -19,6 +19,7 @@ from proprio_ros.recordings.columns import JointColumns, joint_state_columns
 from proprio_ros.recordings.contradictions import refuse_pace
 from proprio_ros.recordings.effort import CURRENT_PER_COUNT_A, Effort, known_or_none
 from proprio_ros.recordings.input_topics import FOREIGN_CLOCK_NS, commanded, measured
+from proprio_ros.recordings.joint_names import fitted_names
 from proprio_ros.recordings.noted import Noted
 from proprio_ros.recordings.publishers import of_one_publisher
 from proprio_ros.recordings.read_options import ReadOptions
@@ -116,9 +117,13 @@ def hear(bag: Bag, options: ReadOptions) -> Heard:
     command = None
     if not options.states_only:
         command = bag.topics.input(options.command_topic, state, conventions)
-    columns, clock = _states(bag, state, options)
+    columns = joint_state_columns(bag, state, QUANTITIES, conventions)
+    fitted = fitted_names(bag.path, columns.names, options)
+    options = fitted.options
+    columns = columns._replace(names=fitted.renamed(columns.names))
+    columns, clock = _of_one_clock(bag, state, columns, options)
     pace = refuse_pace(Noted(bag.path, state.name), columns)
-    notes = [*columns.notes, *clock.notes, *pace]
+    notes = [*fitted.notes, *columns.notes, *clock.notes, *pace]
     inputs = beside = None
     if command is not None and command[0] != state:
         inputs, repairs = commanded(bag, *command, columns, clock, options)
@@ -131,13 +136,20 @@ def hear(bag: Bag, options: ReadOptions) -> Heard:
     )
 
 
-def _states(
+def _of_one_clock(
     bag: Bag,
     state: Topic,
+    columns: JointColumns,
     options: ReadOptions,
 ) -> tuple[JointColumns, Clock]:
-    """Joint states of the arm's own driver in the order of a clock that goes on evenly, and what was wrong with the clocks."""
-    columns = joint_state_columns(bag, state, QUANTITIES, options.conventions)
+    """Joint states of the arm's own driver in the order of a clock that goes on evenly, and what was wrong with the clocks.
+
+    Args:
+        bag: Open.
+        state: Topic of the joint states.
+        columns: All of them, as they were recorded.
+        options: How they are read.
+    """
     # parts whose times come twice look like two publishers, and two publishers may hide a step
     before = clock_of(state.name, columns)
     columns = of_one_publisher(

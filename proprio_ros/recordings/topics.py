@@ -6,7 +6,7 @@ Where a choice would be a guess (what `effort` means, which of two topics to tak
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import NamedTuple, NoReturn
 
@@ -68,6 +68,12 @@ class Conventions:
             return tuple(str(name) for name in names)
         bare = [str(name).removeprefix(self.prefix) for name in names]
         return tuple(self.names.get(name, name) for name in bare)
+
+    def also(self, names: Mapping[str, str]) -> Conventions:
+        """The same with further names, by those that these conventions give."""
+        known = {theirs: names.get(ours, ours) for theirs, ours in self.names.items()}
+        new = {theirs: ours for theirs, ours in names.items() if theirs not in self.names.values()}
+        return replace(self, names={**new, **known})
 
     def published(self, name: str) -> str:
         """The driver's name of one of the robot's joints."""

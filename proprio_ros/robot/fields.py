@@ -33,6 +33,7 @@ from proprio_ros.inputs.forms import (
     shortly,
 )
 from proprio_ros.inputs.reading import LONGEST_PATH
+from proprio_ros.inputs.signs import EFFORT_SIGN, Signs
 from proprio_ros.kinds import Key
 from proprio_ros.quantity import Quantity
 from proprio_ros.robot.drive_train import FingerTravel
@@ -198,6 +199,7 @@ ROBOT: dict[str, Field] = {
         ),
         STANDARD_GRAVITY,
     ),
+    "effort_sign": Field(EFFORT_SIGN, Signs()),
     "arm_scale": Field(
         _quantity(Number("all masses of the URDF times this", "", 0.1, 10.0)), Quantity(1.0, 0.1)
     ),

@@ -29,6 +29,7 @@ from proprio_ros.inputs.forms import (
 )
 from proprio_ros.inputs.reading import LONGEST_PATH, path_problem, text_of, yaml_of
 from proprio_ros.inputs.resources import resource, resource_names
+from proprio_ros.inputs.signs import Signs
 from proprio_ros.quantity import Quantity
 from proprio_ros.robot.description import (
     PACKAGE,
@@ -107,6 +108,7 @@ class Robot:
     # where joints stand that a recording lacks [rad or m]
     held: Mapping[str, float] = field(default_factory=dict)
     tip: str | None = None  # last link of the arm; None: every joint with a motor is of the arm
+    effort_sign: Signs = field(default_factory=Signs)  # by what measured efforts are multiplied
 
     def is_calibrated(self, joints: Iterable[str] | None = None) -> bool:
         """Whether the numbers come from this very arm, as its file says and as every calibration does.
@@ -480,6 +482,10 @@ def _check_model(
         )
     for name in given["held"]:
         model.joint(name)
+    for name in given["effort_sign"].joints:
+        if name not in model.independent_joints:
+            known = ", ".join(model.independent_joints)
+            raise FormError(f"effort_sign: {model.name} has no joint {name!r}; it has {known}")
     links = [link.name for link in model.links]
     frame = given["payload_frame"]
     if frame not in links:

@@ -154,28 +154,6 @@ def test_times_in_another_unit_are_refused(tmp_path: Path, factor: float) -> Non
         bag_runs(bent(tmp_path / "bag", bend, PUSH), ARM)
 
 
-def test_a_prefix_before_all_joints_is_named(tmp_path: Path) -> None:
-    def bend(
-        topic: str,
-        time_ns: int,
-        message: Any,
-    ) -> tuple[int, Any]:
-        if topic == "/joint_states":
-            message.name = [f"left_{name}" for name in message.name]
-        return time_ns, message
-
-    bag = bent(tmp_path / "bag", bend, PUSH)
-    with pytest.raises(
-        RecordingError, match=r"called left_joint1 and so on.*state joint_prefix: left_"
-    ):
-        bag_runs(bag, ARM)
-    _, (check,) = check_bags([bag])
-    assert "joint_prefix: left_" in check.problem and "left_joint1" in check.joints
-    profile = tmp_path / "mine.yaml"
-    profile.write_text("extends: proprio\njoint_prefix: left_\n")
-    assert check_bags([bag], Options(driver=profile))[1][0].usable == 1
-
-
 @pytest.mark.parametrize("seed", range(5))
 def test_late_messages_are_no_other_pace(seed: int) -> None:
     """A recorder on a busy computer: jitter, a backlog that grows and is worked off, a second that nothing came."""

@@ -164,6 +164,7 @@ def drift(
     state_topic: str | None = None,
     command_topic: str | None = None,
     effort_unit: str | None = None,
+    effort_sign: int | str | Mapping[str, int] | None = None,
     settings: Mapping[str, Any] | None = None,
     progress: Callable[[str], Any] = lambda _: None,
 ) -> Drift:
@@ -174,10 +175,11 @@ def drift(
     Args:
         bags: Bag folders or files, text recordings, data sets, folders with any of them, and globs; one may stand alone.
         robot: Name, or robot file.
-        driver: Profile of the driver that published, a name of ``config/drivers`` or a file; the next three win over it.
+        driver: Profile of the driver that published, a name of ``config/drivers`` or a file; the next four win over it.
         state_topic: Of the joint states, where a bag has several.
         command_topic: Of the input, where it has an unusual name.
         effort_unit: What effort of the joint states means: ``N.m``, ``A``, ``mA`` or ``raw``.
+        effort_sign: -1 where efforts are counted the other way round, of all joints or by joint.
         settings: As for ``--set``, by dotted key.
         progress: Hears how far it is, a sentence at a time.
 

@@ -49,7 +49,7 @@ def asked(options: Options | None, check: bool = False) -> str:
     if options is None:
         return ""
     words = []
-    flags = ("robot", "driver", "state_topic", "command_topic", "effort_unit")
+    flags = ("robot", "driver", "state_topic", "command_topic", "effort_unit", "effort_sign")
     for key in flags if check else ("calibration", *flags):
         value = getattr(options, key)
         if value is not None:

@@ -23,6 +23,7 @@ from proprio_ros.identification.reasons import Reason
 from proprio_ros.identification.regression.misread import misread, thinned
 from proprio_ros.identification.regression.motion_equations import Arm, Rows, equations
 from proprio_ros.identification.regression.motion_prior import HELD_WITHIN
+from proprio_ros.recordings.effort import effort_sign_option
 from proprio_ros.recordings.motions import Motion
 from proprio_ros.records import FloatArray
 from proprio_ros.robot import Robot
@@ -50,8 +51,8 @@ DEGREES = 10.0
 GRAVITY_M_S2 = 9.81
 
 
-# Share of the torque that is not explained without a mistake, and the words for that.
-_Tried = tuple[float, str]
+# Share of the torque that is not explained without a mistake, the words for that, and the option that states it.
+_Tried = tuple[float, str, str]
 
 
 @dataclass(frozen=True)
@@ -159,14 +160,17 @@ def with_cause(
         return _rejected_for(refusal, cause, "a joint is not read as its URDF has it")
     if accepted:
         return refusal
-    for motion in (*motions, *empty):
-        words = torque_cause(robot, motion)
-        if words:
-            code = "misfit"
-            if refusal.verdict is not Verdict.TOO_WIDE:
-                code = getattr(refusal.reasons[0], "code", "other")
-            cause = Reason(code, f"{motion.name}: {words}")
-            return _rejected_for(refusal, cause, "the arm does not fit its URDF")
+    everything = (*motions, *empty)
+    for motion in everything:
+        mistake = torque_cause(robot, motion)
+        if mistake is None:
+            continue
+        others = [torque_cause(robot, other) for other in everything if other is not motion]
+        code = "misfit"
+        if refusal.verdict is not Verdict.TOO_WIDE:
+            code = getattr(refusal.reasons[0], "code", "other")
+        reason = Reason(code, f"{motion.name}: {mistake.sentence(others)}")
+        return _rejected_for(refusal, reason, "the arm does not fit its URDF")
     return refusal
 
 
@@ -184,8 +188,28 @@ def _rejected_for(
     )
 
 
-def torque_cause(robot: Robot, motion: Motion) -> str:
-    """The one mistake that explains the torques of a motion, as a sentence without its name; empty where none is sure.
+@dataclass(frozen=True)
+class Cause:
+    """The one mistake that explains the torques of a motion."""
+
+    words: str  # a sentence without the name of the recording
+    option: str  # what states it on the command line; empty: nothing does
+
+    def sentence(self, others: Sequence[Cause | None]) -> str:
+        """The words with what to do about it, beside what explains the other recordings: an option holds for all of them."""
+        if not self.option:
+            return self.words
+        kind = self.option.partition("=")[0]
+        if all(other is not None and other.option.startswith(kind) for other in others):
+            return f"{self.words}: {self.option} states it"
+        return (
+            f"{self.words}; it does not show in all recordings, and those that are compared must come from one driver: only "
+            f"where it holds for all, {self.option} states it"
+        )
+
+
+def torque_cause(robot: Robot, motion: Motion) -> Cause | None:
+    """The one mistake that explains the torques of a motion; None where none is sure.
 
     ``robot``: as its file states it; ``motion``: that was refused.
     """
@@ -194,18 +218,18 @@ def torque_cause(robot: Robot, motion: Motion) -> str:
         model = _Model.of(robot, motion)
         as_it_is, _ = model.left(model.rows.torque)
         nothing, _ = model.left(0.0 * model.rows.torque)
-        (least, words), *others = sorted(_tried(robot, motion, model))
+        (least, words, option), *others = sorted(_tried(robot, motion, model))
     except (ProprioError, np.linalg.LinAlgError):
-        return ""
+        return None
     # a torque of nothing is explained by a payload that cancels the arm's weight
     sure = least < min(EXPLAINED, nothing / 2.0) and as_it_is > max(
         BETTER * least, min(UNEXPLAINED, CERTAIN * least), LEAST
     )
     other = next(
-        (left for left, said in others if said != words),
+        (left for left, said, _ in others if said != words),
         np.inf,
     )
-    return words if sure and CLEARER * least < other else ""
+    return Cause(words, option) if sure and CLEARER * least < other else None
 
 
 def _tried(robot: Robot, motion: Motion, model: _Model) -> Iterator[_Tried]:
@@ -235,7 +259,15 @@ def _tried(robot: Robot, motion: Motion, model: _Model) -> Iterator[_Tried]:
             if other is None:
                 continue
             torque = other.rows.torque / np.where(which, mistake.torque, 1.0)[other.rows.joint]
-            yield other.left(torque)[0], mistake.words
+            option = ""
+            if mistake.torque == -1.0 and mistake.angle == 1.0:
+                wrong = [
+                    joint
+                    for joint, asked_for in zip(motion.joints, which, strict=True)
+                    if asked_for
+                ]
+                option = effort_sign_option(motion.joints, wrong, motion.turned)
+            yield other.left(torque)[0], mistake.words, option
     yield from _by_gravity(robot, motion, model)
 
 
@@ -260,12 +292,12 @@ def _by_gravity(robot: Robot, motion: Motion, model: _Model) -> Iterator[_Tried]
         model = _Model.of(replace(robot, gravity=found), motion)
     if np.arccos(np.clip(found @ stated / GRAVITY_M_S2, -1.0, 1.0)) < LEAST_TILT_RAD:
         return
-    shown = ",".join(f"{value:.1f}" for value in found)
+    shown = ",".join(f"{value:.2f}" for value in found)
     said = (
         f"its torques are those of an arm on which gravity pulls along [{shown}] m/s^2 of the base, and the robot file says "
-        f"otherwise: is the base mounted so? --set robot.gravity=[{shown}] states it"
+        "otherwise: is the base mounted so?"
     )
-    yield model.left(model.rows.torque)[0], said
+    yield model.left(model.rows.torque)[0], said, f"--set robot.gravity=[{shown}]"
 
 
 def _rms(values: FloatArray) -> float:

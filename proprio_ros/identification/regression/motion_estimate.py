@@ -177,7 +177,7 @@ def calibration_refusals(
         std,
     )
     unlike = [
-        *refusals.unlike_urdf(calibration.arm_over_urdf),
+        *refusals.unlike_urdf(calibration.arm_over_urdf, motions[0]),
         *refusals.far_from_prior(learnt, "robot file"),
     ]
     if not unlike:

@@ -19,10 +19,14 @@ from proprio_ros.identification.regression.motion_fit import (
 )
 from proprio_ros.kinds import label_of
 from proprio_ros.quantity import Z95, shown, written
+from proprio_ros.recordings.effort import effort_sign_option
+from proprio_ros.recordings.motions import Motion
 from proprio_ros.records import FloatArray
 
 UNEXPLAINED_SHARE = 0.5
 """A joint whose torque is unexplained by more than this share has another unit, sign or controller than stated."""
+REVERSED_SHARE = 0.9
+"""A torque of which more is left over than this is not explained at all, as where it is counted the other way round."""
 URDF_RATIO = 1.35
 """URDFs were seen to be off by 8 to 16 %; an arm that weighs more or less than that has other units or torque constants."""
 APART_SIGMAS = 4.0  # What differs by more standard deviations is not the same.
@@ -57,6 +61,7 @@ def passed_over(
     joints: Sequence[str],
     tells: FloatArray,
     share: FloatArray,
+    motion: Motion,
 ) -> tuple[str, ...]:
     """A sentence for each joint whose torque is not explained and does not decide.
 
@@ -64,13 +69,18 @@ def passed_over(
         joints: Their names, n.
         tells: How much of what is known of the mass each tells, shape (n,), sum 1.
         share: Of the torque, that is left over by joint, shape (n,); NaN where one did not move.
+        motion: Of these.
     """
     sentences = []
     for number, joint in enumerate(joints):
         if share[number] > UNEXPLAINED_SHARE and tells[number] < DECIDES:
+            option = ""
+            if share[number] > REVERSED_SHARE:
+                option = effort_sign_option(motion.joints, [joint], motion.turned)
+                option = f"; where it is counted the other way round, {option} states it"
             sentences.append(
                 f"{_percent(share[number])} of the torque of {joint} is not explained; it tells "
-                f"{100.0 * tells[number]:.1f} % of the mass, and counts for as little"
+                f"{100.0 * tells[number]:.1f} % of the mass, and counts for as little{option}"
             )
     return tuple(sentences)
 
@@ -105,13 +115,25 @@ def times(factor: float) -> str:
     return f"{factor:.2f} times" if abs(factor) < 100.0 else "over 100 times"
 
 
-def unlike_urdf(arm_over_urdf: float) -> Iterator[Refusal]:
-    """Where the arm weighs far more or less by its torques than by its URDF."""
-    if not 1.0 / URDF_RATIO < arm_over_urdf < URDF_RATIO:
+def unlike_urdf(arm_over_urdf: float, motion: Motion) -> Iterator[Refusal]:
+    """Where the arm weighs far more or less by its torques than by its URDF, or hangs on them the other way round.
+
+    ``arm_over_urdf``: how many times as much; ``motion``: one of those that say so.
+    """
+    words = f"by its torques the arm weighs {times(arm_over_urdf)} what its URDF says"
+    if arm_over_urdf < -1.0 / URDF_RATIO:
+        option = effort_sign_option(motion.joints, motion.joints, motion.turned)
         yield rejected(
             "arm_unlike_urdf",
             "the arm does not fit its URDF",
-            f"by its torques the arm weighs {times(arm_over_urdf)} what its URDF says, and a payload would be off by as much: "
+            f"{words}: its efforts have the sign of the torque that gravity makes. Where their publisher counts them so, {option} "
+            "states it; where the arm hangs, robot.gravity is the other way round; and were loaded and empty recordings mixed up?",
+        )
+    elif not 1.0 / URDF_RATIO < arm_over_urdf < URDF_RATIO:
+        yield rejected(
+            "arm_unlike_urdf",
+            "the arm does not fit its URDF",
+            f"{words}, and a payload would be off by as much: "
             f"check the effort's {'unit' if arm_over_urdf > 0.0 else 'sign'}, the torque constants and the URDF's masses, "
             "and that empty and loaded recordings are not mixed up",
         )

@@ -287,7 +287,7 @@ def _identified(
         beside=weighing.baseline,
         notes=(
             *refusals.moved_only_loaded(fit),
-            *refusals.passed_over(fit.joints, fit.tells, fit.unexplained),
+            *refusals.passed_over(fit.joints, fit.tells, fit.unexplained, motions[0]),
         ),
         shown=fit.shown,
     )
@@ -499,8 +499,8 @@ def _refusals(
         yield rejected(
             "other_torque",
             "torques are not those of the empty arm",
-            f"{name}: the torque of {fit.joints[worst]} is {ratio[worst]:.2f} times what it should be by the empty "
-            "hand's motion: were both recorded with the same driver, unit and torque constants, and is it the same arm?",
+            f"{name}: the torque of {fit.joints[worst]} is {ratio[worst]:.2f} times what it should be by the empty hand's motion: "
+            "were both recorded with the same driver, unit, sign and torque constants, and is it the same arm?",
         )
     if fit.halves is not None:
         (early, early_std), (late, late_std) = fit.halves
@@ -525,7 +525,7 @@ def _refusals(
             f"{name}: the torque of {fit.joints[worst]} is explained {ratio[worst]:.1f} times worse than with an empty hand: was "
             "the payload held firmly, and did nothing touch the arm?",
         )
-    yield from refusals.unlike_urdf(fit.arm_over_urdf)
+    yield from refusals.unlike_urdf(fit.arm_over_urdf, motions[0])
     yield from refusals.far_from_prior(fit.arm, known)
     yield from refusals.lighter_than_empty(
         float(fit.values[0]), fit.half_width, "are the recordings mixed up?"

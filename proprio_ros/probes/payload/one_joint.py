@@ -288,7 +288,7 @@ def _mass_refusals(
             "equivalent pendulum needs none of it",
         )
     if weighed.arm_over_urdf is not None:
-        yield from unlike_urdf(weighed.arm_over_urdf)
+        yield from unlike_urdf(weighed.arm_over_urdf, motion)
     angle, angle_std = weighed.awry
     if abs(angle) > max(AWRY_RAD, FAR * angle_std):
         yield rejected(

@@ -67,7 +67,7 @@ def identify_standing(
     refusal = judge(
         chain(
             of_arm,
-            _refusals(motions[0].name, fit, moving, learnt.arm_over_urdf),
+            _refusals(motions[0], fit, moving, learnt.arm_over_urdf),
             _too_wide(fit, arm_kg),
         )
     )
@@ -93,7 +93,7 @@ def identify_standing(
 
 
 def _refusals(
-    name: str, fit: RestFit, moving: MotionFit | None, arm_over_urdf: float
+    motion: Motion, fit: RestFit, moving: MotionFit | None, arm_over_urdf: float
 ) -> Iterator[Refusal]:
     worse = 0.0 if moving is None else float(np.nanmax(moving.residual / moving.empty_residual))
     other, other_std = fit.beside or (fit.mass_kg, 0.0)
@@ -102,10 +102,10 @@ def _refusals(
         yield rejected(
             "misfit",
             "the model does not explain the recording",
-            f"{name}: no payload explains what the motors do where the arm stands, and before: does it lean on something, does "
-            "somebody hold it, and has each servo the gain that it was calibrated with?",
+            f"{motion.name}: no payload explains what the motors do where the arm stands, and before: does it lean on something, "
+            "does somebody hold it, and has each servo the gain that it was calibrated with?",
         )
-    yield from unlike_urdf(arm_over_urdf)
+    yield from unlike_urdf(arm_over_urdf, motion)
     yield from lighter_than_empty(fit.mass_kg, Z95 * fit.std_kg, "are the recordings mixed up?")
 
 

@@ -81,7 +81,8 @@ def test_one_mistake_is_named(
     bend: Callable[[Motion], Motion],
     words: str,
 ) -> None:
-    assert words in torque_cause(robot, bend(motion))
+    found = torque_cause(robot, bend(motion))
+    assert found is not None and words in found.words
 
 
 def test_gravity_from_elsewhere_is_named(robot: Robot, motion: Motion) -> None:
@@ -90,7 +91,9 @@ def test_gravity_from_elsewhere_is_named(robot: Robot, motion: Motion) -> None:
         robot,
         gravity=np.array([0.0, 6.94, -6.94]),
     )
-    said = torque_cause(wall, motion)
+    found = torque_cause(wall, motion)
+    assert found is not None
+    said = found.sentence([])
     assert "--set robot.gravity=[" in said
     inside = said.rpartition("[")[2].partition("]")[0]
     stated = np.array([float(word) for word in inside.split(",")])
@@ -98,7 +101,7 @@ def test_gravity_from_elsewhere_is_named(robot: Robot, motion: Motion) -> None:
 
 
 def test_nothing_is_named_where_nothing_is_wrong(robot: Robot, motion: Motion) -> None:
-    assert torque_cause(robot, motion) == ""
+    assert torque_cause(robot, motion) is None
     refusal = rejected(
         "misfit", "the model does not explain the recording", "something else happened"
     )

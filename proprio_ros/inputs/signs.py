@@ -1,0 +1,80 @@
+"""Which way a measured effort counts, as a driver's profile, a robot file or the command line state it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from proprio_ros.inputs.forms import Form, FormError, Text, shortly
+from proprio_ros.inputs.reading import finite
+
+_JOINT = Text(what="the name of a joint")
+
+
+@dataclass(frozen=True)
+class Signs:
+    """By what the effort of each joint is multiplied: -1 where it is counted against the joint's own direction."""
+
+    every: int | None = (
+        None  # of joints that are not named; None: not stated, so that it counts as it is
+    )
+    joints: Mapping[str, int] = field(default_factory=dict)
+
+    def of(self, joint: str) -> int:
+        """1 or -1."""
+        return self.joints.get(joint, self.every or 1)
+
+    def over(self, other: Signs) -> Signs:
+        """These, and for joints of which they say nothing the others."""
+        if self.every is not None:
+            return self
+        return Signs(other.every, {**other.joints, **self.joints})
+
+    def turned(self, joints: Iterable[str]) -> tuple[str, ...]:
+        """Those of some joints whose effort is turned round."""
+        return tuple(joint for joint in joints if self.of(joint) < 0)
+
+    def __str__(self) -> str:
+        """As the command line takes them."""
+        by_joint = [f"{joint}={sign}" for joint, sign in self.joints.items()]
+        return ",".join(by_joint if self.every is None else [str(self.every), *by_joint])
+
+
+@dataclass(frozen=True)
+class SignForm(Form):
+    """Of all joints, or joint by joint."""
+
+    def read(self, value: Any) -> Signs:
+        if isinstance(value, Mapping):
+            return Signs(None, {_JOINT.read(joint): _sign(sign) for joint, sign in value.items()})
+        if not isinstance(value, str):
+            return Signs(_sign(value))
+        every = None
+        joints = {}
+        for part in value.split(","):
+            joint, equals, sign = part.rpartition("=")
+            if not equals:
+                every = _sign(sign)
+            elif joint.strip() in joints:
+                raise FormError(f"{shortly(joint.strip())} is given twice")
+            else:
+                joints[_JOINT.read(joint.strip())] = _sign(sign)
+        return Signs(every, joints)
+
+    def described(self) -> str:
+        return "1 or -1 for all joints, or by joint, as {joint_2: -1}"
+
+
+def _sign(value: Any) -> int:
+    text = value.strip() if isinstance(value, str) else value
+    number = {"1": 1, "+1": 1, "-1": -1}.get(text) if isinstance(text, str) else finite(text)
+    if number not in (1, -1):
+        raise FormError(f"expected 1 or -1, for all joints or as JOINT=-1, got {shortly(value)}")
+    return int(number)
+
+
+EFFORT_SIGN = SignForm(
+    "by what measured efforts are multiplied: -1 where they have the sign of the torque that gravity makes, not of what holds "
+    "against it"
+)

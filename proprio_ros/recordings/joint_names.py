@@ -1,0 +1,110 @@
+"""Names of joints that differ from the robot's by a prefix or a suffix, such as ``fer_joint1`` and ``panda_joint1``.
+
+Where they fit in exactly one way they are the robot's, which is noted; where in several, as of an arm of a pair, the user is asked.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from proprio_ros.errors import RecordingError
+from proprio_ros.recordings.read_options import ReadOptions
+
+_BEHIND = re.compile(r"(?<=[_/.:-])")  # where a prefix may end
+_BEFORE = re.compile(r"(?=[_/.:-])")  # where a suffix may begin
+
+
+@dataclass(frozen=True)
+class Way:
+    """One way in which names fit."""
+
+    theirs: tuple[str, str]  # prefix and suffix of the recorded names
+    ours: tuple[str, str]  # and of the robot's
+    names: Mapping[str, str]  # the robot's by the recorded ones
+
+    @property
+    def words(self) -> str:
+        """The way, by its first joint."""
+        theirs, ours = next(iter(self.names.items()))
+        return f"{theirs} as {ours}"
+
+
+def ways_of(recorded: Sequence[str], joints: Sequence[str]) -> list[Way]:
+    """The ways in which recorded names may be those of most of a robot's joints, the longest common parts first."""
+    found: dict[frozenset[tuple[str, str]], Way] = {}
+    parts = {name: list(_parts(name)) for name in (*recorded, *joints)}
+    cores: dict[str, list[tuple[str, tuple[str, str]]]] = {}
+    for joint in joints:
+        for core, around in parts[joint]:
+            cores.setdefault(core, []).append((joint, around))
+    by_way: dict[tuple[tuple[str, str], tuple[str, str]], dict[str, str]] = {}
+    for name in recorded:
+        for core, theirs in parts[name]:
+            for joint, ours in cores.get(core, ()):
+                by_way.setdefault((theirs, ours), {})[name] = joint
+    for (theirs, ours), names in by_way.items():
+        if 2 * len(names) > len(joints):
+            found.setdefault(frozenset(names.items()), Way(theirs, ours, names))
+    return [way for pairs, way in found.items() if not any(pairs < other for other in found)]
+
+
+def _parts(name: str) -> Iterator[tuple[str, tuple[str, str]]]:
+    """What may be common to a name and another one, with the prefix and the suffix around it; a number alone is no name."""
+    starts = [0, *(cut.start() for cut in _BEHIND.finditer(name))]
+    ends = [*(cut.start() for cut in _BEFORE.finditer(name)), len(name)]
+    for start in starts:
+        for end in ends:
+            core = name[start:end]
+            if re.search(r"[^\W\d_]", core):
+                yield core, (name[:start], name[end:])
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """How a recording with other names is read."""
+
+    options: ReadOptions
+    names: Mapping[
+        str, str
+    ]  # the robot's by the recorded ones; empty where they are as they should be
+    notes: tuple[str, ...] = ()
+
+    def renamed(self, recorded: Sequence[str]) -> tuple[str, ...]:
+        """The robot's names of joints."""
+        return tuple(self.names.get(name, name) for name in recorded)
+
+
+def fitted_names(path: Path, recorded: Sequence[str], options: ReadOptions) -> Fitted:
+    """Take joints for the robot's whose names are those but for a prefix or a suffix.
+
+    Args:
+        path: Of the recording.
+        recorded: Names in it, as the options have them now.
+        options: With the robot's joints.
+
+    Returns:
+        How the recording is read, with a note where names are others.
+
+    Raises:
+        RecordingError: Names fit in several ways.
+    """
+    joints = options.joint_order
+    if not options.fits_names or set(recorded) & set(joints):
+        return Fitted(options, {})
+    ways = ways_of(recorded, joints)
+    if not ways:
+        return Fitted(options, {})
+    if len(ways) > 1:
+        both = ", or ".join(way.words for way in ways[:4])
+        raise RecordingError(
+            f"names of joints fit the robot's in several ways: {both}: state joint_prefix or joint_names in a driver's profile of "
+            "your own (--driver FILE), or name the robot that has these names",
+            path,
+        )
+    (way,) = ways
+    note = f"joints have other names than the robot's; they fit in one way, and {way.words} and so on was taken"
+    conventions = options.conventions.also(way.names)
+    return Fitted(replace(options, conventions=conventions), way.names, (note,))
