@@ -28,6 +28,7 @@ from typing import Any
 
 import conformance_page
 import figures
+import refusals_page
 import settings_page
 from connections import Connection, Reader
 
@@ -340,34 +341,6 @@ def _parameter(parameter: Any, meant: _Once) -> tuple[str, str, str, str]:
     )
 
 
-# --- refusals -----------------------------------------------------------------------------------------------------------
-
-
-def refusals() -> str:
-    """The page with every code of a reason."""
-    from proprio_ros.identification.reasons import CODES, REMEDIES
-
-    parts = [
-        NOTE,
-        "# Refusals",
-        "Why an answer was refused, or is wider or less certain than it could be: what each reason means, and what to do. The "
-        "command line and a report give the reason as a sentence about your recording, with the joint, the number and the remedy; "
-        "`--json` gives its code in `reason_codes`, as here. A code keeps its meaning; the words of a sentence may change.",
-        "What the reason makes of the answer is the [verdict](results.md#verdicts). Beside `accepted` a reason is a warning that "
-        "the interval already counts. Exit code 2 is no refusal: something was mistyped, or cannot be read, and one line says what "
-        "and what to do.",
-        "A joint that stuck is refused most often (`stuck`, `short_travel`); on a new arm a wrong unit (`arm_unlike_urdf`, "
-        "`misfit`), which `proprio check` shows before any fit.",
-    ]
-    for code, meaning in CODES.items():
-        parts += [
-            f"## {code}",
-            f"{meaning[0].upper()}{meaning[1:]}.",
-            f"**What to do**: {REMEDIES[code]}.",
-        ]
-    return "\n\n".join(parts) + "\n"
-
-
 # --- both ---------------------------------------------------------------------------------------------------------------
 
 
@@ -385,7 +358,7 @@ def pages() -> dict[Path, str]:
         PAGES / "command_line.md": command_line(),
         PAGES / "ros_interface.md": ros_interface(),
         PAGES / "settings.md": settings_page.page(NOTE, _table, _Once("as above")),
-        PAGES / "refusals.md": refusals(),
+        PAGES / "refusals.md": refusals_page.page(NOTE),
         PAGES / "conformance.md": conformance_page.page(NOTE, _table),
         **measured(),
     }
