@@ -117,6 +117,7 @@ class Loads:
         name = self._driving[moved][0]
         feels = self._driving[other][0]
         if name == feels:
+            load.inertia[name] += float(np.sum(momentum * moving))
             return
         by_acceleration, by_speed = load.reactions[name].get(feels, (0.0, 0.0))
         by_acceleration += float(np.sum(momentum * moving))

@@ -293,7 +293,7 @@ class UrdfReader:
             axis = axis / length
         limit = element.find("limit")
         lower, upper = self._range(limit, kind, where)
-        if kind == "revolute" and math.isinf(upper):
+        if kind == "revolute" and (limit is None or {"lower", "upper"}.isdisjoint(limit.keys())):
             kind = "continuous"
         velocity, effort = self._rates(limit, kind, where)
         return Joint(
@@ -313,12 +313,14 @@ class UrdfReader:
     def _range(
         self, limit: ElementTree.Element | None, kind: str, where: str
     ) -> tuple[float, float]:
-        """Smallest and largest position; of two limits, one that is left out is zero, by the format."""
+        """Smallest and largest position; of two limits, one that is left out is zero, by the format, and two zeros are none."""
         stated = limit is not None and not {"lower", "upper"}.isdisjoint(limit.keys())
         if kind not in ("revolute", "prismatic") or limit is None or not stated:
             return -math.inf, math.inf
         lower = self._number(limit, "lower", where, "0")
         upper = self._number(limit, "upper", where, "0")
+        if lower == upper == 0.0:
+            return -math.inf, math.inf
         if lower > upper:
             self._problems.append(
                 f"{where}: the lower limit {lower} is above the upper limit {upper}; swap them"

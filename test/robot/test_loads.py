@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
+from support import small_urdf
+from support.small_urdf import chain, joint
 
 from proprio_ros.identification.locked_joints import joint_torque
-from proprio_ros.robot import Robot, load_robot
+from proprio_ros.robot import Robot, load_robot, with_recorded_torque
 from proprio_ros.robot.loads import Loads
 
 POSE = {"joint1": 0.4, "joint2": -0.9, "joint3": 0.7, "joint4": 0.3, "gripper_left_joint": 0.005}
@@ -51,11 +54,31 @@ def test_gravity_is_the_slope_of_the_potential_energy_and_inertia_twice_the_kine
     for name in effort:
         ahead, behind = (potential_J(robot, {**POSE, name: POSE[name] + s}) for s in (STEP, -STEP))
         assert effort[name] == pytest.approx((ahead - behind) / (2.0 * STEP), abs=1e-7)
-        # fingers that follow move the other way: their cross term vanishes
         assert inertia[name] == pytest.approx(
             2.0 * kinetic_J(robot, POSE, name), rel=1e-6, abs=1e-9
         )
     assert min(abs(effort[name]) for name in ("joint2", "joint3", "joint4")) > 0.05
+
+
+def test_a_joint_whose_followers_it_carries_moves_them_with_what_is_common(tmp_path: Path) -> None:
+    """As fingers of several links do: each link bends by a part of the one before."""
+    links = [small_urdf.link(name) for name in ("base", "one", "two", "three")]
+    away = '<origin xyz="0.3 0.1 0"/><parent'
+    joints = (
+        joint("a", axis="0 1 0"),
+        joint("b", "one", "two", axis="0 1 0", mimic='<mimic joint="a" multiplier="0.7"/>'),
+        joint("c", "two", "three", mimic='<mimic joint="b" multiplier="-2" offset="0.3"/>'),
+    )
+    path = tmp_path / "arm.urdf"
+    path.write_text(
+        chain(*(text.replace("<parent", away, 1) for text in joints), links="".join(links))
+    )
+    robot = load_robot(path, with_recorded_torque(path, {}))
+    pose = {"a": 0.4}
+    load = Loads(robot).at(pose)
+    ahead, behind = (potential_J(robot, {"a": pose["a"] + s}) for s in (STEP, -STEP))
+    assert load.gravity["a"] == pytest.approx((ahead - behind) / (2.0 * STEP), abs=1e-6)
+    assert load.inertia["a"] == pytest.approx(2.0 * kinetic_J(robot, pose, "a"), rel=1e-6)
 
 
 def test_what_the_hand_holds_pulls_where_the_hand_is() -> None:

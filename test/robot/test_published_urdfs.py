@@ -307,6 +307,11 @@ def test_a_wheel_turns_without_end_and_one_limit_is_zero() -> None:
     jaw, _ = READ["an upper limit alone"]
     read = RobotModel.from_urdf_string(jaw).joint("w")
     assert (read.kind, read.lower, read.upper) == ("revolute", 0.0, 0.5)
+    nothing = '<limit lower="0" upper="0" effort="0" velocity="0"/>'
+    read = RobotModel.from_urdf_string(
+        arm(joint("w", "hand", "jaw", limit=nothing), jaw=INERTIAL)
+    ).joint("w")
+    assert (read.kind, read.lower, read.upper) == ("revolute", -math.inf, math.inf)
 
 
 def test_an_effort_of_50000_says_nothing_of_friction(tmp_path: Path) -> None:
