@@ -185,7 +185,7 @@ def _shown(
     # a joint alone whose torque's scale is open is weighed with known loads, not with an empty hand
     if not by_voltage or len(robot.drive_trains) > 1:
         tells = _motion_check(robot, recording, looked.motion)
-    notes = recording.notes
+    notes = (*recording.notes, *(f"URDF: {note}" for note in robot.model.notes))
     if looked.motion is None:
         notes += unit_not_used(recording.inputs, request.options.effort_unit)
     driven_by, driven_in = _input_of(recording, looked.runs, types, request.unit)

@@ -188,7 +188,8 @@ def identify(
     }
     recorded = [recorded_run(robot, run) for run in read.runs]
     recorded += [recorded_run(robot, run, True) for run in read.baseline]
-    notes = (*estimate.notes, *_guessed_frame(robot, request.options.settings))
+    taken = [f"URDF: {note}" for note in robot.model.notes]
+    notes = (*estimate.notes, *taken, *_guessed_frame(robot, request.options.settings))
     fresh = request.robot.calibration
     if fresh is not None and robot.calibration is not None:
         drifted = said(fresh, robot.drift, robot.calibration.made)

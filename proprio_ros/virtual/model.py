@@ -12,7 +12,7 @@ import numpy as np
 
 from proprio_ros.errors import ConfigurationError
 from proprio_ros.records import FloatArray
-from proprio_ros.robot import Joint, Robot
+from proprio_ros.robot import Joint, Robot, RobotModel
 from proprio_ros.virtual.objects import HandObject, set_inertia
 from proprio_ros.virtual.truth import LinkTruth, Truth
 
@@ -22,6 +22,18 @@ STICKING_SOLIMP = (0.9999, 0.9999, 0.001, 0.5, 2.0)
 SOLVER_TOLERANCE = 1e-14
 """The default counts relative to the mean inertia, which a geared slide of 90 kg makes large: joints would stick."""
 LIMIT_SOLREF = (0.004, 1.0)
+SPECK_KG = 1e-9  # MuJoCo wants some mass of all that moves
+
+
+def _without_mass(model: RobotModel) -> list[str]:
+    """Links on joints that move, which have no mass, nor has anything that is fixed to them."""
+    kg = {link.name: float(link.pseudo_inertia[3, 3]) for link in model.links}
+    for joint in reversed(model.joints):
+        if joint.kind == "fixed":
+            kg[joint.parent] += kg[joint.child]
+    return [
+        joint.child for joint in model.joints if joint.kind != "fixed" and kg[joint.child] <= 0.0
+    ]
 
 
 def import_mujoco() -> Any:
@@ -87,7 +99,10 @@ class ArmModel:
         """Links and joints; returns the body of the hand."""
         robot = self._robot
         links = {link.name: link for link in robot.model.links}
-        bodies = {robot.model.root: spec.worldbody.add_body(name=robot.model.root)}
+        root = robot.model.root
+        # MuJoCo has a body of this name already
+        base = spec.worldbody if root == "world" else spec.worldbody.add_body(name=root)
+        bodies = {root: base}
         for joint in robot.model.joints:
             body = bodies[joint.parent].add_body(name=joint.child, pos=joint.origin[:3, 3])
             turn = np.ascontiguousarray(joint.origin[:3, :3])
@@ -101,6 +116,8 @@ class ArmModel:
             )
             if joint.kind != "fixed":
                 self._add_joint(spec, body, joint)
+        for name in _without_mass(robot.model):
+            set_inertia(bodies[name], SPECK_KG, np.zeros(3), (0.0, 0.0, 0.0, 0.0, 0.0, 0.0))
         return bodies[robot.payload_frame]
 
     def _add_inertia(self, body: Any, pseudo: FloatArray, departure: LinkTruth) -> None:

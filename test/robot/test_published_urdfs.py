@@ -5,8 +5,10 @@ One small URDF of each kind that was met among public ones, each as a robot file
 
 from __future__ import annotations
 
+import importlib.util
 import json
 import math
+import re
 from pathlib import Path
 
 import numpy as np
@@ -18,10 +20,14 @@ from proprio_ros.errors import RobotError
 from proprio_ros.identification.coefficients import link_stds
 from proprio_ros.identification.regression.motion_equations import Arm
 from proprio_ros.identification.regression.motion_prior import file_prior
+from proprio_ros.inputs.resources import share_directory
+from proprio_ros.pipeline.api import weigh
 from proprio_ros.robot import RobotModel, load_robot, with_recorded_torque
 from proprio_ros.robot.description import check_masses
 from proprio_ros.robot.geometry import inertia_about_origin
 from proprio_ros.robot.links import Spread
+from proprio_ros.virtual.model import ArmModel
+from proprio_ros.virtual.truth import Truth
 
 AR5 = Path(__file__).resolve().parents[3] / "shared" / "recordings_real" / "models" / "ar5.urdf"
 GONE = ""
@@ -169,6 +175,8 @@ def test_it_becomes_a_robot_file_that_is_read_back(
     reduced = robot.model.lock(["a", "b", "c"], others)
     for pseudo in reduced.pseudo_inertia:
         assert np.linalg.eigvalsh(pseudo).min() > -1e-12
+    if importlib.util.find_spec("mujoco"):
+        ArmModel(robot, Truth({}), 1e-3).compiled(None)
 
 
 REFUSED = {
@@ -347,3 +355,30 @@ def test_a_tool_frame_of_mass_0_does_not_matter(
         + without[without.index("</link>", at) + 7 :]
     )
     assert RobotModel.from_urdf_string(bare).fingerprint() == robot.model.fingerprint()
+
+
+@pytest.mark.long
+@pytest.mark.skipif(not AR5.exists(), reason="needs the real recordings")
+def test_a_mended_link_moves_no_answer(tmp_path: Path) -> None:
+    """A UR10e with 2.805 kg in its hand, as weighed by the URDF and by one whose second wrist is no body."""
+    recordings = AR5.parents[1]
+    share = share_directory()
+    urdf = (share / "urdf" / "ur10e.urdf").read_text()
+    settings = (share / "config" / "robots" / "ur10e.yaml").read_text()
+    settings = re.sub(r"(?m)^urdf: .*$", "urdf: ur10e.urdf", settings)
+    (tmp_path / "ur10e.yaml").write_text(settings)
+    found = []
+    for text in (urdf, urdf.replace('izz="0.002005"', 'izz="0.02"')):
+        (tmp_path / "ur10e.urdf").write_text(text)
+        answer = weigh(
+            recordings / "ur10e_loaded_14",
+            baseline=recordings / "ur10e_empty_14",
+            probe="payload",
+            robot=str(tmp_path / "ur10e.yaml"),
+            driver="ur_current",
+        )
+        found.append(answer.values["payload_mass"])
+        low, high = found[-1].ci95
+        assert low < 2.805 < high
+        assert any("URDF: no body" in note for note in answer.estimate.notes) == (text != urdf)
+    assert found[0].value != found[1].value == pytest.approx(found[0].value, abs=0.01)
