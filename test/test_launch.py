@@ -14,7 +14,7 @@ from ruamel.yaml import YAML
 
 from proprio_ros.errors import ProprioError
 from proprio_ros.inputs.resources import resource
-from proprio_ros.nodes.arguments import check_arguments
+from proprio_ros.nodes.starting import check_arguments
 from proprio_ros.probes import virtual_object
 from proprio_ros.probes.container.virtual_object import Container
 

@@ -64,7 +64,8 @@ ROSDEP = {
 """Keys of rosdep/python.yaml, and packages that Jazzy has: ros/rosdistro, commit 8468e88ccd."""
 RELEASED = {
     "ament_index_python", "builtin_interfaces", "diagnostic_msgs", "dynamixel_sdk", "geometry_msgs", "launch", "launch_ros",
-    "rcl_interfaces", "rclpy", "robot_state_publisher", "rviz2", "sensor_msgs", "std_msgs", "std_srvs", "visualization_msgs",
+    "lifecycle_msgs", "rcl_interfaces", "rclpy", "robot_state_publisher", "rviz2", "sensor_msgs", "std_msgs", "std_srvs",
+    "visualization_msgs",
 }  # fmt: skip
 
 

@@ -11,7 +11,7 @@ import shlex
 import signal
 import time
 from collections.abc import Sequence
-from dataclasses import fields
+from dataclasses import asdict, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
@@ -31,7 +31,6 @@ from proprio_ros.inputs.settings import parse_settings
 from proprio_ros.probes import all_probes, probe_named, probe_that
 from proprio_ros.probes.base import HasTable
 from proprio_ros.quantity import shown
-from proprio_ros.version import to_install
 from proprio_ros.whole_files import real_path
 
 if TYPE_CHECKING:
@@ -39,6 +38,8 @@ if TYPE_CHECKING:
 
 
 LONGEST_SEARCH_S = 1e6
+LAST_DOMAIN = 101
+"""Of those whose ports Linux hands out to nobody else (docs.ros.org, The ROS_DOMAIN_ID)."""
 
 
 def command_line(given: Sequence[str]) -> str:
@@ -312,12 +313,7 @@ def demo(options: argparse.Namespace, given: Sequence[str]) -> int:
     truth = example.truth if stated is None else stated
     if not example.lowest <= truth <= example.highest:
         raise ConfigurationError(f"--{example.flag} {truth:g}: {example.units}")
-    # while libraries are loaded there is nothing to end yet, and an exception could land anywhere inside them
-    signal.signal(signal.SIGINT, _leave_at_once)
-    try:
-        from proprio_ros.nodes.demo import demo
-    except ModuleNotFoundError as error:
-        raise ConfigurationError(_missing_for_a_demo(str(error.name))) from error
+    demo = _with_ros("proprio_ros.nodes.demo").demo
     robot = options.robot or "open_manipulator_x"
     how = {
         "folder": Path(options.output),
@@ -335,11 +331,58 @@ def demo(options: argparse.Namespace, given: Sequence[str]) -> int:
     return EXIT_OK if result.accepted else EXIT_NO_ANSWER
 
 
-def _missing_for_a_demo(name: str) -> str:
-    """What to do about a module that is not there: ROS from apt is sourced, and never mixed with its wheels."""
-    if name != "mujoco" and Path("/opt/ros").is_dir():
-        return f"{name} is missing: source /opt/ros/jazzy/setup.bash first"
-    return f"{name} is missing: {to_install('ros,sim')}"
+def live(options: argparse.Namespace, given: Sequence[str]) -> int:
+    """``proprio live``: the nodes, until somebody ends them; returns the exit code."""
+    from proprio_ros.nodes.arguments import ARGUMENTS, Stated
+
+    _join(options.domain)
+    stated = {name: getattr(options, name) for name in ARGUMENTS}
+    texts = {name: value for name, value in stated.items() if value is not None}
+    from proprio_ros.nodes.live import live
+
+    live(Stated(texts), say, terminal.pass_on)
+    return EXIT_OK
+
+
+def call(options: argparse.Namespace, given: Sequence[str]) -> int:
+    """``proprio call``: a service's answer; returns the exit code."""
+    if options.list == (options.service is not None):
+        raise ConfigurationError("call: name a service, such as calibrate_payload, or --list them")
+    _settings(options.set)
+    _join(options.domain)
+    nodes = _with_ros("proprio_ros.nodes.call")
+    namespace = options.namespace.strip("/")
+    if options.list:
+        found = nodes.listed(namespace, say)
+        rows = [asdict(each) for each in found]
+        terminal.show(
+            options.json,
+            {**schema.header("services"), "services": rows},
+            terminal.services_as_text(found),
+        )
+        return EXIT_OK
+    asked = nodes.to_call(options.service, options.value, options.set, namespace)
+    answer = nodes.call(asked, say)
+    terminal.show(options.json, {**schema.header("call"), **asdict(answer)}, answer.message)
+    return EXIT_OK if answer.success else EXIT_NO_ANSWER
+
+
+def _join(domain: int | None) -> None:
+    """Look for nodes, and start them, in this ROS domain; None: that of the environment."""
+    if domain is None:
+        return
+    if not 0 <= domain <= LAST_DOMAIN:
+        raise ConfigurationError(f"--domain {domain}: choose 0 to {LAST_DOMAIN}")
+    os.environ["ROS_DOMAIN_ID"] = str(domain)
+
+
+def _with_ros(module: str) -> Any:
+    """A module that needs ROS; Ctrl-C meanwhile leaves at once."""
+    # while libraries are loaded there is nothing to end yet, and an exception could land anywhere inside them
+    signal.signal(signal.SIGINT, _leave_at_once)
+    from proprio_ros.nodes.programs import loaded
+
+    return loaded(module)
 
 
 def _references(pairs: Sequence[str]) -> dict[str | Path, float]:

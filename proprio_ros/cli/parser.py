@@ -12,6 +12,7 @@ from proprio_ros.cli import commands as obey
 from proprio_ros.cli.completion import SHELLS
 from proprio_ros.cli.terminal import EXIT_BAD_INPUT
 from proprio_ros.errors import one_line
+from proprio_ros.nodes.arguments import ARGUMENTS
 from proprio_ros.probes import all_probes, probe_that
 from proprio_ros.probes.base import Carries, HasSolvers
 from proprio_ros.quantity import EFFORTS, unit_called
@@ -51,6 +52,11 @@ SHARED: dict[str, dict[str, Any]] = {
         "for those named; 1 undoes what a profile or the robot file says; never turned unasked",
     },
     "force": {"action": "store_true", "help": "replace an older file of that name, whatever it is"},
+    "domain": {
+        "type": int,
+        "metavar": "N",
+        "help": "ROS domain of the nodes (default: ROS_DOMAIN_ID, else 0)",
+    },
     "json": {"action": "store_true", "help": "print one JSON object"},
     "report": {
         "metavar": "FILE.html",
@@ -117,6 +123,8 @@ def make_parser() -> argparse.ArgumentParser:
         _warmup,
         *(registry.loaded(place) for place in registry.commands().values()),
         _demo,
+        _live,
+        _call,
         _completion,
     ):
         make(commands.add_parser)
@@ -324,6 +332,45 @@ def _demo(add: Callable[..., Parser]) -> None:
         "--output", default="proprio_demo", metavar="DIR", help="for recordings, report and logs"
     )
     it.share("robot")
+
+
+def _live(add: Callable[..., Parser]) -> None:
+    it = add(
+        "live",
+        command=obey.live,
+        help="driver, excitation and identifier, on an arm or a virtual one",
+        description="Start what `ros2 launch proprio_ros calibration.launch.py` starts, with the same arguments, where there is no "
+        "`ros2`; then `proprio call` in another terminal. Ctrl-C, SIGTERM, and a node that dies end all of them: the arm is "
+        "released, or held where the driver's parameter on_shutdown says so.",
+        epilog="Exit code: 0 ended by Ctrl-C or SIGTERM, 2 could not run, or a node died.",
+    )
+    for name, argument in ARGUMENTS.items():
+        flags = dict.fromkeys((f"--{name}", f"--{name.replace('_', '-')}"))
+        if argument.default == "false":
+            it.add_argument(*flags, action="store_const", const="true", help=argument.about)
+        else:
+            default = f" (default {argument.default})" if argument.default else ""
+            words = f"{argument.about}{default}"
+            it.add_argument(*flags, metavar=name.upper(), help=words)
+    it.share("domain")
+
+
+def _call(add: Callable[..., Parser]) -> None:
+    it = add(
+        "call",
+        command=obey.call,
+        help="a service of the nodes that run",
+        description="Call a service of driver, excitation or identifier, as `ros2 service call` does: what goes on to stderr, the "
+        "answer to stdout. The identifier keeps what --set states. Ctrl-C cancels the job that the call began; the arm is held.",
+        epilog="Exit code: 0 the service succeeded, 2 bad input, or no such node runs, 3 the service says no, 130 interrupted.",
+    )
+    it.add_argument(
+        "service", nargs="?", metavar="SERVICE", help="its name, such as calibrate_payload"
+    )
+    it.add_argument("value", nargs="?", metavar="true|false", help="for `torque`, which switches")
+    it.add_argument("--list", action="store_true", help="the services that answer now, a line each")
+    it.add_argument("--namespace", default="", metavar="NAME", help="of the nodes, as for `live`")
+    it.share("domain", "set", "json")
 
 
 def _completion(add: Callable[..., Parser]) -> None:

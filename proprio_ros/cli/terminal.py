@@ -120,10 +120,30 @@ def say(message: str) -> None:
         print(f"proprio: {message}", file=sys.stderr, flush=True)
 
 
+def pass_on(line: str) -> None:
+    """What a node printed, as it is."""
+    if sys.stderr is not None:
+        print(printable(line), file=sys.stderr, flush=True)
+
+
 def say_progress(message: str) -> None:
     """What goes on, to whoever looks at it now."""
     if sys.stderr is not None and sys.stderr.isatty():
         print(f"proprio: {message}", file=sys.stderr)
+
+
+def services_as_text(found: Sequence[Any]) -> str:
+    """Services that answer, a line each, by node."""
+    lines = []
+    width = max(len(each.name) for each in found)
+    node = ""
+    for each in found:
+        theirs = each.service.rpartition("/")[0]
+        if theirs != node:
+            node = theirs
+            lines.append(f"{node} ({each.node_state})")
+        lines.append(f"  {each.name.ljust(width)}  {each.about.partition(';')[0]}")
+    return "\n".join(lines)
 
 
 def estimate_as_text(estimate: Any) -> str:

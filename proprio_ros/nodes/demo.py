@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import contextlib
 import os
-import random
 import signal
 import threading
 import time
@@ -16,22 +15,17 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import rclpy
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from rclpy.executors import SingleThreadedExecutor
-from rclpy.node import Node
-from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
 from proprio_ros.errors import ConfigurationError
-from proprio_ros.nodes import messages
-from proprio_ros.nodes.graph import Graph, Patience
-from proprio_ros.nodes.qos import LATCHED
+from proprio_ros.nodes.arguments import Stated
+from proprio_ros.nodes.calling import SILENCE_S, Caller
+from proprio_ros.nodes.domains import free_domain
+from proprio_ros.nodes.graph import Graph
+from proprio_ros.nodes.starting import starts
 from proprio_ros.probes.base import Example, HasBaseline, Probe
 
-SILENCE_S = 600.0
-"""Nothing waits for a clock: on a new or a busy computer every step may take minutes. Nodes that say nothing for so long hang."""
 NOT_READY_S = 60.0  # between nodes that are all up: a node that the others do not see yet
 REFERENCE_KG = 0.1
 _interrupted = threading.Event()
@@ -82,10 +76,9 @@ def demo(
     folder = folder.resolve()
     folder.mkdir(parents=True, exist_ok=True)
     # a domain of its own: another arm's driver on this network must not hear our commands, nor we its states
-    domain = os.environ.setdefault(
-        "ROS_DOMAIN_ID",
-        str(random.SystemRandom().randint(1, 101)),
-    )
+    if "ROS_DOMAIN_ID" not in os.environ:
+        os.environ["ROS_DOMAIN_ID"] = free_domain()
+    domain = os.environ["ROS_DOMAIN_ID"]
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     _interrupted.clear()
     for number in (signal.SIGINT, signal.SIGTERM):
@@ -94,7 +87,7 @@ def demo(
         weighs = _start(
             graph,
             example,
-            {"robot": robot, "seed": seed},
+            {"robot": robot, "seed": str(seed)},
             truth,
             folder,
             full,
@@ -102,11 +95,11 @@ def demo(
         tell(
             f"virtual robot, driver, excitation and identifier are starting; watch them with ROS_DOMAIN_ID={domain}"
         )
-        with contextlib.closing(_Client(graph, tell)) as client:
+        with contextlib.closing(_Demonstrator(graph, tell)) as demonstrator:
             _obey_interrupt()
-            client.wait_until_ready()
-            accepted, sentence = client.identify(probe, example, weighs)
-            final = client.final_estimate(probe.name) if accepted else {}
+            demonstrator.wait_until_ready()
+            accepted, sentence = demonstrator.identify(probe, example, weighs)
+            final = demonstrator.final_estimate(probe.name) if accepted else {}
             elapsed = time.monotonic() - started
             tell("done; the nodes are ending")
     name, _ = probe.answer
@@ -121,34 +114,32 @@ def demo(
 def _start(
     graph: Graph,
     example: Example,
-    robot: dict[str, Any],
+    robot: dict[str, str],
     truth: float,
     folder: Path,
     full: bool,
 ) -> bool:
     """Start the nodes; whether the robot is calibrated with a weight, too."""
-    name = robot["robot"]
-    link = folder / "bus"
     weighs = full or example.reference
-    graph.start(
-        "virtual",
-        {**robot, "link": link, "object": example.held.format(truth=truth)},
+    stated = Stated(
+        {
+            **robot,
+            "virtual": "true",
+            "port": str(folder / "bus"),
+            "object": example.held.format(truth=truth),
+            "data_directory": str(folder),
+            "reference_mass": str(REFERENCE_KG if weighs else 0.0),
+        }
     )
-    graph.start("driver", {"robot": name, "port": link})
-    graph.start("excitation", {"robot": name})
-    own: dict[str, Any] = {
-        "robot": name,
-        "data_directory": folder,
-        "calibration": "none",
-    }
+    # the virtual robot's helper is quick
+    own: dict[str, Any] = {"calibration": "none", "reference_wait": 0.5}
     if example.stated:
         own["settings"] = list(example.stated)
     if not full:
         own |= {"reference_sequence": "reference_elbow", **example.sequences}
-    if weighs:
-        # the virtual robot's helper is quick
-        own |= {"reference_mass": REFERENCE_KG, "reference_wait": 0.5}
-    graph.start("identifier", own)
+    for start in starts(stated):
+        more = own if start.node == "identifier" else {}
+        graph.start(start.node, {**start.parameters, **more}, files=start.files)
     return weighs
 
 
@@ -164,7 +155,7 @@ def _obey_interrupt() -> None:
         raise KeyboardInterrupt
 
 
-class _Client:
+class _Demonstrator:
     """Calls services and listens, in this process."""
 
     def __init__(
@@ -174,83 +165,39 @@ class _Client:
     ) -> None:
         self._graph = graph
         self._tell = tell
-        self._last_words = ""
-        self._words = 0
-        self._final: dict[str, dict[str, str]] = {}
-        rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
-        self._node = Node("proprio_demo")
-        self._executor = SingleThreadedExecutor()
-        self._executor.add_node(self._node)
-        self._node.create_subscription(
-            DiagnosticStatus, "/identifier/status", self._on_status, LATCHED
-        )
-        self._node.create_subscription(
-            DiagnosticArray, "/identifier/estimate", self._on_estimate, LATCHED
-        )
+        self._caller = Caller("proprio_demo", tell, self._each_turn, graph.said)
+        self.close = self._caller.close
 
-    def close(self) -> None:
-        self._executor.shutdown(timeout_sec=1.0)
-        self._node.destroy_node()
-        rclpy.try_shutdown()
-
-    def _on_status(self, message: DiagnosticStatus) -> None:
-        values = messages.values_of(message)
-        words = f"{values.get('doing', '')}: {message.message}"
-        self._words += 1
-        if words != self._last_words and values.get("doing") not in (None, "idle"):
-            self._last_words = words
-            self._tell(words)
-
-    def _on_estimate(self, message: DiagnosticArray) -> None:
-        for status in message.status:
-            values = messages.values_of(status)
-            self._words += 1
-            if values.get("final") == "true":
-                self._final[status.name] = values
-            elif values.get("final") == "false":
-                self._tell(status.message)
-
-    def _spin_until(
-        self,
-        ready: Callable[[], bool],
-        silence_s: float = SILENCE_S,
-    ) -> bool:
-        """Whether it became so, before nobody said anything for so long."""
-        patience = Patience(silence_s)
-        while not ready():
-            _obey_interrupt()
-            self._graph.check()
-            if patience.is_over((self._words, self._graph.said())):
-                return False
-            self._executor.spin_once(timeout_sec=0.05)
-        return True
+    def _each_turn(self) -> None:
+        _obey_interrupt()
+        self._graph.check()
 
     def wait_until_ready(self) -> None:
         """Wait until a calibration would be accepted: services there, joint states coming."""
         states = threading.Event()
-        subscription = self._node.create_subscription(
+        subscription = self._caller.node.create_subscription(
             JointState, "/joint_states", lambda _: states.set(), 1
         )
         names = ("/identifier/calibrate_robot", "/excitation/run")
-        services = {name: self._node.create_client(Trigger, name) for name in names}
+        services = {name: self._caller.node.create_client(Trigger, name) for name in names}
 
         def missing() -> list[str]:
             absent = [name for name, service in services.items() if not service.service_is_ready()]
             return absent if states.is_set() else ["/joint_states", *absent]
 
-        ready = self._spin_until(lambda: not missing())
-        self._node.destroy_subscription(subscription)
+        ready = self._caller.spin_until(lambda: not missing())
+        self._caller.node.destroy_subscription(subscription)
         if not ready:
             lacks = f"no {', no '.join(missing())}, and not a word for {SILENCE_S:g} s"
             raise ConfigurationError(f"the nodes did not come up: {lacks}; see {self._graph.logs}")
 
     def call(self, name: str) -> tuple[bool, str]:
         """Call a service and wait for its word."""
-        client = self._node.create_client(Trigger, name)
-        if not self._spin_until(client.service_is_ready, 30.0):
+        client = self._caller.node.create_client(Trigger, name)
+        if not self._caller.spin_until(client.service_is_ready, 30.0):
             raise ConfigurationError(f"{name} is not there; see {self._graph.logs}")
         future = client.call_async(Trigger.Request())
-        if not self._spin_until(future.done):
+        if not self._caller.spin_until(future.done):
             words = f"{name} gave no answer, and not a word for {SILENCE_S:g} s"
             raise ConfigurationError(f"{words}; see {self._graph.logs}")
         answer = future.result()
@@ -293,5 +240,5 @@ class _Client:
 
     def final_estimate(self, probe: str) -> dict[str, str]:
         """The last word of the identifier on its topic, which may come a moment after the service's answer."""
-        self._spin_until(lambda: probe in self._final, 10.0)
-        return self._final.get(probe, {})
+        self._caller.spin_until(lambda: probe in self._caller.final, 10.0)
+        return self._caller.final.get(probe, {})

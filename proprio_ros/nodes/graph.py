@@ -9,15 +9,13 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from proprio_ros.errors import ConfigurationError
-from proprio_ros.nodes.messages import text_of
+from proprio_ros.nodes.starting import RELEASE_S
 
-END_S = 10.0
-"""A node releases the arm, keeps what it recorded and ends within a second, or a little later; after this it is killed."""
 _PR_SET_PDEATHSIG = 1
 
 
@@ -75,25 +73,29 @@ class Graph:
         self.stop()
 
     def start(
-        self, node: str, parameters: Mapping[str, Any], namespace: str = ""
+        self,
+        node: str,
+        parameters: Mapping[str, Any],
+        namespace: str = "",
+        files: Sequence[str] = (),
     ) -> subprocess.Popen[bytes]:
         """Start a node in a process and a session of its own, so that Ctrl-C reaches only us.
 
         Args:
             node: Its name, such as ``driver``.
-            parameters: What is stated of its parameters.
+            parameters: What is stated of its parameters; it counts over files.
             namespace: Of the node; empty: none.
+            files: Parameter files; a later one counts over those before.
 
         Returns:
             The process.
         """
         words = [sys.executable, "-m", f"proprio_ros.nodes.{node}", "--ros-args"]
+        for file in files:
+            words += ["--params-file", file]
         for name, value in parameters.items():
-            # words in a list need quotes to be one each
-            quoted = isinstance(value, (list, tuple)) and all(
-                isinstance(entry, str) for entry in value
-            )
-            words += ["-p", f"{name}:={json.dumps(list(value)) if quoted else text_of(value)}"]
+            # texts in quotes: else a name that looks like a number is one, and words of a list are not one each
+            words += ["-p", f"{name}:={json.dumps(value, ensure_ascii=False, default=str)}"]
         if namespace:
             words += ["-r", f"__ns:=/{namespace}"]
         with (self.logs / f"{node}.log").open("ab") as log:
@@ -116,12 +118,20 @@ class Graph:
         """How much all nodes have printed so far [bytes]: more of it is progress."""
         return sum(log.stat().st_size for log in self.logs.glob("*.log"))
 
+    def ended(self) -> Iterator[tuple[str, int, str]]:
+        """Nodes that have ended by themselves: name, exit code, and how in words, with the last line that it printed."""
+        for node, process in self.processes.items():
+            code = process.poll()
+            if code is None:
+                continue
+            lines = self.log(node).strip().splitlines() or ["without a word"]
+            how = f" (killed by {signal.Signals(-code).name})" if code < 0 else ""
+            yield node, code, f"the {node} node has ended{how}: {lines[-1]}"
+
     def check(self) -> None:
         """Raises: ConfigurationError: a node has ended, with the last line it printed."""
-        for node, process in self.processes.items():
-            if process.poll() is not None:
-                lines = self.log(node).strip().splitlines() or [f"exit code {process.returncode}"]
-                raise ConfigurationError(f"the {node} node has ended: {lines[-1]}")
+        for _, _, words in self.ended():
+            raise ConfigurationError(words)
 
     def stop(
         self,
@@ -141,7 +151,7 @@ class Graph:
         for name in nodes:
             if self.processes[name].poll() is None:
                 self.processes[name].send_signal(number)
-        deadline = time.monotonic() + END_S
+        deadline = time.monotonic() + RELEASE_S
         for name in nodes:
             process = self.processes.pop(name)
             try:

@@ -12,15 +12,15 @@ import shutil
 import sys
 import textwrap
 from collections.abc import Iterator, Sequence
+from pathlib import Path
 from typing import Any
 
 from proprio_ros.errors import ConfigurationError, ProprioError, one_line
 from proprio_ros.nodes.interface import about, interface_of
 from proprio_ros.nodes.tables import AUTOSTART, NODES, Parameter
-from proprio_ros.version import __version__
+from proprio_ros.version import __version__, to_install
 
 CANNOT_START = 2  # exit code
-NO_ROS = "{} is missing: install ROS 2 with pip install -e '.[ros,sim]', or source ROS 2 Jazzy"
 PARAMETER_WORDS = ("-p", "--param")
 OF_ROS = ("use_sim_time", "start_type_description_service", "qos_overrides.", "diagnostic_updater.")
 """Names, or what names begin with, of parameters that every node of ROS has."""
@@ -69,7 +69,14 @@ def loaded(module: str) -> Any:
     try:
         return importlib.import_module(module)
     except ModuleNotFoundError as error:
-        raise ConfigurationError(NO_ROS.format(error.name)) from error
+        raise missing(str(error.name)) from error
+
+
+def missing(module: str) -> ConfigurationError:
+    """What to do about a module that is not there: ROS from apt is sourced, and never mixed with its wheels."""
+    if module != "mujoco" and Path("/opt/ros").is_dir():
+        return ConfigurationError(f"{module} is missing: source /opt/ros/jazzy/setup.bash first")
+    return ConfigurationError(f"{module} is missing: {to_install('ros,sim')}")
 
 
 def check_words(node: str, words: Sequence[str]) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import signal
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from types import TracebackType
@@ -39,7 +39,9 @@ class SimulatedGraph:
         node: str,
         parameters: Mapping[str, Any],
         namespace: str = "",
+        files: Sequence[str] = (),
     ) -> None:
+        """Files are those of the package, which state the defaults."""
         place = {name: LINK for name in ("link", "port") if name in parameters}
         self.world.start(
             node,

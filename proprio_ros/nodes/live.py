@@ -1,0 +1,117 @@
+"""`proprio live`: what `ros2 launch proprio_ros calibration.launch.py` starts, where there is no `ros2`.
+
+This process needs no ROS itself. What the nodes say goes into files, which are shown as they grow: a terminal that stands still
+must not keep a driver from its bus.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import signal
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+from proprio_ros.errors import ConfigurationError
+from proprio_ros.nodes.arguments import Stated
+from proprio_ros.nodes.graph import Graph
+from proprio_ros.nodes.programs import missing
+from proprio_ros.nodes.starting import ends_all, services_for, starts
+
+LOOK_S = 0.1
+ENDS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+"""Ctrl-C, what systemd and docker say, and a terminal that is closed."""
+
+
+def live(
+    stated: Stated,
+    tell: Callable[[str], None],
+    show: Callable[[str], None],
+) -> None:
+    """Start the nodes, and end them all when it is asked for (SIGINT, SIGTERM, SIGHUP) or one of them has died.
+
+    Args:
+        stated: The arguments.
+        tell: Called with what goes on here, a sentence at a time.
+        show: Called with each line that a node prints.
+
+    Raises:
+        ProprioError: An argument is not understood, or a node died; with its own words.
+    """
+    found = starts(stated)
+    for module in ["rclpy", *(["mujoco"] if stated.virtual else [])]:
+        if importlib.util.find_spec(module) is None:
+            raise missing(module)
+    asked: list[int] = []
+    for number in ENDS:
+        # obeyed below; a second one changes nothing: the nodes end in order
+        signal.signal(number, lambda number, _: asked.append(number))
+    with Graph(_log_folder()) as graph:
+        shown = _Shown(graph.logs, show)
+        for start in found:
+            graph.start(start.node, start.parameters, stated.namespace, start.files)
+        tell(f"{', '.join(graph.processes)} are starting, Ctrl-C ends them; logs: {graph.logs}")
+        tell(f"when the identifier is ready: {_calls(stated)}")
+        died = _watch(graph, shown, asked, tell)
+        tell(f"{', '.join(graph.processes)} are ending")
+        graph.stop()
+        shown.more()
+    if died:
+        raise ConfigurationError(died)
+    tell("all nodes have ended")
+
+
+def _watch(
+    graph: Graph,
+    shown: _Shown,
+    asked: list[int],
+    tell: Callable[[str], None],
+) -> str:
+    """Show what the nodes say until they are to end; why, where it was not asked for."""
+    while not asked:
+        shown.more()
+        for node, code, words in list(graph.ended()):
+            if ends_all(node, code):
+                return words
+            graph.stop(node)
+            tell(words)
+        time.sleep(LOOK_S)
+    return ""
+
+
+class _Shown:
+    """What has been shown of files that grow.
+
+    Args:
+        folder: Of the logs.
+        show: Called with each whole line.
+    """
+
+    def __init__(self, folder: Path, show: Callable[[str], None]) -> None:
+        self._folder = folder
+        self._show = show
+        self._read: dict[Path, int] = {}
+
+    def more(self) -> None:
+        """Show what has come since."""
+        for log in sorted(self._folder.glob("*.log")):
+            with log.open("rb") as file:
+                file.seek(self._read.get(log, 0))
+                whole, newline, _ = file.read().rpartition(b"\n")
+            self._read[log] = self._read.get(log, 0) + len(whole) + len(newline)
+            for line in whole.decode(errors="replace").splitlines():
+                self._show(line)
+
+
+def _calls(stated: Stated) -> str:
+    """What to type next."""
+    where = f"--namespace {stated.namespace} " if stated.namespace else ""
+    return ", then ".join(f"proprio call {where}{name}" for name in services_for(stated.held))
+
+
+def _log_folder() -> Path:
+    """Where ROS keeps logs, one folder for each start."""
+    home = Path(os.environ.get("ROS_HOME") or "~/.ros").expanduser()
+    logs = Path(os.environ.get("ROS_LOG_DIR") or home / "log").expanduser()
+    return logs / f"proprio_live_{time.strftime('%Y-%m-%d-%H-%M-%S')}_{os.getpid()}"
