@@ -148,7 +148,8 @@ def _calibration_request(
             raise ConfigurationError(
                 f"--reference {path}={mass:g}: masses are in kg, so 100 g is 0.1"
             )
-    request = read_request(replace(options or Options(), calibration=None), _reference)
+    stated = replace(options or Options(), calibration=None)
+    request = read_request(stated.for_recordings([*paths, *references]), _reference)
     if output is not None and real_path(output) == real_path(request.robot.source):
         raise ConfigurationError(
             f"--output {output}: is the robot file, and the calibration extends it: name another"
@@ -249,7 +250,7 @@ def refresh_from_bags(
         raise ConfigurationError(
             f"--set {stated[0]}: {old} says what the robot is; leave it out, or calibrate from the start"
         )
-    request = read_request(options)
+    request = read_request(options.for_recordings(paths))
     fresh = request.robot.calibration
     if fresh is None:
         raise ConfigurationError(

@@ -101,7 +101,7 @@ class _Looked:
 
 
 def _bag_check(request: Request, path: Path) -> BagCheck:
-    """A bag or an episode."""
+    """A bag, an episode or a table."""
     options = request.reading.options
     with open_recording(path) as source:
         contents = source.contents(options)
@@ -109,12 +109,14 @@ def _bag_check(request: Request, path: Path) -> BagCheck:
         if contents.problem is None:
             looked = _looked_into(source, request, contents)
     types = {name: kind for name, kind, _ in contents.topics}
+    columns = {f"/{name}": "" for name, _ in contents.columns}
     check = BagCheck(
         str(path),
         topics=contents.topics,
+        columns=contents.columns,
         state_topic=contents.states,
         driver=request.driver,
-        fitting=tuple(driver.name for driver in drivers_of(types.items())),
+        fitting=tuple(driver.name for driver in drivers_of({**types, **columns}.items())),
     )
     if looked.recording is None:
         return replace(check, refusal=looked.problem)
@@ -400,7 +402,7 @@ def _input_of(
         return MEASURED_EFFORT, unit or f"not stated: --effort-unit {'|'.join(EFFORT_UNITS)}"
     if inputs.unit != "N.m":
         return inputs.source, inputs.unit
-    published = types[inputs.source] == JOINT_STATE
+    published = types.get(inputs.source, JOINT_STATE) == JOINT_STATE  # a table has no topics
     return inputs.source, "N m or N, current x nominal torque constant" if published else "N m or N"
 
 

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import groupby
 from typing import Any
 
-from proprio_ros.errors import ProprioError
+from proprio_ros.errors import ProprioError, some
 from proprio_ros.identification.estimate import plain
 from proprio_ros.quantity import shown
 from proprio_ros.recordings.drivers import Driver
@@ -104,6 +106,8 @@ class BagCheck:
     gaps: int = 0  # intervals of more than 2.5 periods
     longest_gap_s: float = float("nan")  # the longest interval [s]
     topics: tuple[tuple[str, str, int], ...] = ()  # name, type and number of messages of each
+    # of a table: each header, and what it was read as; empty where it was not
+    columns: tuple[tuple[str, str], ...] = ()
     state_topic: str | None = None  # topic of the joint states
     # where the current that drove the joints would be taken from: a topic, or ``measured effort``
     input: str | None = None
@@ -146,6 +150,7 @@ class BagCheck:
             "topics": [
                 {"name": name, "type": kind, "messages": count} for name, kind, count in self.topics
             ],
+            "columns": [{"name": name, "read_as": what or None} for name, what in self.columns],
             **_named(self, "state_topic", "input", "input_unit", "runs"),
             "motion": motion and {"joints": motion.moved, "duration_s": motion.times_s[-1]},
             "usable_runs": self.usable,
@@ -172,6 +177,7 @@ class BagCheck:
         lines += [
             f"  topic: {name} ({kind}), {count} messages" for name, kind, count in self.topics
         ]
+        lines += self._column_lines()
         lines += self._driver_lines()
         lines += [line for run in self.runs for line in run.lines()]
         if self.motion is not None:
@@ -201,9 +207,24 @@ class BagCheck:
             "hand (`replay --probe payload --baseline EMPTY`, or `calibrate EMPTY`)"
         )
 
+    def _column_lines(self) -> list[str]:
+        """What the columns of a table were read as, those of a kind together, and the others."""
+        kinds: dict[str, list[str]] = {}
+        for name, what in self.columns:
+            kind, _, joint = what.partition(" of ")
+            unit = joint.partition(" in ")[2]
+            kinds.setdefault(f"{kind} in {unit}" if unit else kind, []).append(name)
+        others = kinds.pop("", [])
+        lines = [f"  {kind}: {_ends(names)}" for kind, names in kinds.items()]
+        unread = "columns that are not read" if lines else "columns"
+        alike = groupby(others, lambda name: re.sub(r"\d+", "", name))
+        shown = [_ends(list(names)) for _, names in alike]
+        return lines + [f"  {unread}: {some(shown, 12)}"] * bool(others)
+
     def _driver_lines(self) -> list[str]:
         stated = self.driver
-        words = f"its topics are those of {' or '.join(self.fitting)}"
+        what = "columns" if self.columns else "topics"
+        words = f"its {what} are those of {' or '.join(self.fitting)}"
         if stated is None:
             which = "one" if len(self.fitting) > 1 else "it"
             return [f"  driver: {words}; state {which} with --driver, none is used before"] * bool(
@@ -248,6 +269,11 @@ class BagCheck:
 
 def _named(values: object, *names: str) -> dict[str, Any]:
     return {name: getattr(values, name) for name in names}
+
+
+def _ends(names: Sequence[str]) -> str:
+    """The first and the last of several."""
+    return " .. ".join(dict.fromkeys((names[0], names[-1])))
 
 
 def _short(value: float) -> str:

@@ -25,6 +25,7 @@ from proprio_ros.recordings.drivers import Driver, load_driver
 from proprio_ros.recordings.effort import Effort
 from proprio_ros.recordings.for_robot import RobotReading
 from proprio_ros.recordings.read_options import ReadOptions
+from proprio_ros.recordings.sources import effort_unit_in
 from proprio_ros.recordings.text import is_text_recording
 from proprio_ros.recordings.topics import OUR_DRIVER, Conventions
 from proprio_ros.recordings.voltage import voltage_driven
@@ -64,9 +65,15 @@ class Options:
             object.__setattr__(self, "effort_unit", unit_called(self.effort_unit, EFFORTS))
 
     def for_recordings(self, paths: Sequence[str | Path]) -> Options:
-        """The same with the robot of the paper's public example, where all are texts and none is stated."""
-        text = self.robot is None and all(map(is_text_recording, paths))
-        return replace(self, robot=TEXT_ROBOT) if text else self
+        """The same with what recordings say by themselves, where nobody states it.
+
+        Where all are texts that is the robot of the paper's public example; where all are tables, the unit of their effort.
+        """
+        if self.robot is None and all(map(is_text_recording, paths)):
+            return replace(self, robot=TEXT_ROBOT)
+        if self.driver is None and self.effort_unit is None:
+            return replace(self, effort_unit=effort_unit_in([Path(path) for path in paths]))
+        return self
 
 
 @dataclass(frozen=True, eq=False)

@@ -40,6 +40,8 @@ class Contents:
     # topic of the input; None where there is none but the measured effort
     inputs: str | None = None
     problem: RecordingError | None = None  # why a topic cannot be chosen
+    # of a table: each header, and what it was read as; empty where it was not
+    columns: tuple[tuple[str, str], ...] = ()
 
 
 def contents_of(bag: Bag, options: ReadOptions) -> Contents:

@@ -472,7 +472,7 @@ def _in_si(
 ) -> dict[str, records.FloatArray]:
     """Positions in rad or m, under the robot's names."""
     names = options.conventions.names
-    scale = POSITIONS[columns.position_unit].in_si
+    scale = POSITIONS[columns.position_unit or "rad"].in_si
     found = {}
     for name, values in by_name.items():
         bare = name.removeprefix(options.conventions.prefix)

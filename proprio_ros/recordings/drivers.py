@@ -30,10 +30,11 @@ from proprio_ros.inputs.resources import resource, resource_names
 from proprio_ros.inputs.signs import EFFORT_SIGN, Signs
 from proprio_ros.quantity import EFFORTS, POSITIONS, Unit
 from proprio_ros.recordings.effort import EFFORT_UNITS
-from proprio_ros.recordings.read_options import POSITION_UNITS, Columns
+from proprio_ros.recordings.read_options import POSITION_UNITS, TIME_UNITS, Columns
 from proprio_ros.recordings.topics import FLOAT_ARRAYS, JOINT_STATE, Conventions, InputTopic
 
 DEEPEST = 8  # files that extend each other
+COLUMNS_FILE = "columns.yaml"  # beside tables, says which column is what
 _TYPES = {"sensor_msgs/JointState": JOINT_STATE, "std_msgs/Float64MultiArray": FLOAT_ARRAYS[0]}
 _SENTENCE = 500
 _NAME = Text(what="a name")
@@ -117,7 +118,9 @@ def _input(value: Any) -> InputTopic:
 
 
 COLUMNS: dict[str, Form] = {
-    "position": Text("column of the joint positions; default observation.state"),
+    "position": Text(
+        "column of the joint positions; default observation.state. Of a table, * stands for the joint: `axis * angle`"
+    ),
     "position_unit": Choice(
         "required; of the positions and goals", POSITION_UNITS, _positions(*POSITION_UNITS)
     ),
@@ -129,16 +132,42 @@ COLUMNS: dict[str, Form] = {
     "percent": _Texts(
         "joints, in the data set's names, whose positions are percent of their range", _NAME
     ),
+    "time": Text("of a table: column of its times; default that of such a name"),
+    "time_unit": Choice("of a table: what its times are in", TIME_UNITS),
+    "velocity": Text("of a table: columns of velocities, as for `position`"),
+    "effort_unit": Choice(
+        "of a table: what effort is in where headers do not say it", EFFORT_UNITS, EFFORTS
+    ),
+    "command": Text("of a table: columns of what drove the joints, as for `position`"),
+    "command_unit": Choice("of a table: what these are in", EFFORT_UNITS, EFFORTS),
+    "joints": _Texts(
+        "of a table: the joints whose columns are numbered, in order; default the robot file's order",
+        _NAME,
+    ),
 }
 """Forms of the keys of ``columns``."""
 
 
 def _columns(value: Any) -> Columns:
-    """What the columns of a LeRobot data set are."""
-    given = section(value, COLUMNS)
-    if "position_unit" not in given:
+    """What the columns of a LeRobot data set or a table are."""
+    columns = Columns(**section(value, COLUMNS))
+    if columns.position_unit is None:
         raise FormError("position_unit is missing; a data set does not say it")
-    return Columns(**given)
+    return columns
+
+
+def columns_beside(table: Path) -> dict[str, Any]:
+    """What ``columns.yaml`` in a table's folder says of its columns, by key; nothing where there is none.
+
+    Raises `ConfigurationError`: It is wrong.
+    """
+    path = table.parent / COLUMNS_FILE
+    if not path.is_file():
+        return {}
+    try:
+        return dict(section(yaml_file(path, ConfigurationError), COLUMNS))
+    except FormError as error:
+        raise ConfigurationError(f"{path}: {error}") from None
 
 
 FORMS: dict[str, Form] = {
@@ -174,12 +203,12 @@ FORMS: dict[str, Form] = {
     ),
     "notes": _Texts("what to know about it; `proprio check` says it", Text(longest=_SENTENCE)),
     "columns": Part(
-        "what the columns of a LeRobot data set are; without it none can be read",
-        "keys of a data set's columns",
+        "what the columns of a LeRobot data set, or of a table, are; without it no data set can be read",
+        "keys of columns",
         by=_columns,
     ),
     "recognised_by": _Texts(
-        "topics, or types of messages, of which any identifies the driver; `proprio check` names it then"
+        "topics, types of messages, or columns of a table, of which any identifies the driver; `proprio check` names it then"
     ),
 }
 """Forms of the keys of a profile."""

@@ -5,6 +5,7 @@ Only the topics that are needed are deserialised, so a bag may hold messages of 
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
@@ -12,7 +13,7 @@ from copy import copy
 from itertools import islice
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,10 +37,11 @@ from proprio_ros.records import FloatArray, Span, TimeArray
 MOST_MESSAGES = 1_000_000  # messages of one topic of a bag: nearly three hours at 100 Hz
 MOST_BYTES = 500_000_000  # bytes of the messages of one topic, together
 _TOGETHER = 8192  # messages that are decoded at once
+_Opened = TypeVar("_Opened", bound="Bag")
 
 
 @contextmanager
-def open_bag(path: str | Path) -> Iterator[Bag]:
+def open_bag(path: str | Path) -> Iterator[RosBag]:
     """Open a bag: a folder (with or without metadata.yaml), or one .mcap or .db3 file.
 
     Raises `RecordingError`: It is none, or breaks then or while it is read, whatever rosbags raises over it.
@@ -53,7 +55,7 @@ def open_bag(path: str | Path) -> Iterator[Bag]:
                 unpacked(file, folder) if file.name.endswith(COMPRESSED) else file for file in files
             ]
         readers = [stack.enter_context(Reader(file)) for file in files]
-        yield Bag(path, files, readers)
+        yield RosBag(path, files, readers)
 
 
 @contextmanager
@@ -75,14 +77,49 @@ def readable(path: Path) -> Iterator[None]:
         raise RecordingError(f"not readable as a ROS 2 bag ({reason}); {advice}", path) from error
 
 
-class Bag:
-    """The open files of one bag.
+class Bag(ABC):
+    """What was recorded, topic by topic.
 
     Attributes:
         path: Of the bag.
         notes: What was repaired or is missing, a sentence each; grows while messages are read.
-        topics: What the files hold.
+        topics: What it holds.
     """
+
+    def __init__(self, path: Path, notes: Sequence[str], topics: Topics) -> None:
+        self.path = path
+        self.notes = list(notes)
+        self.topics = topics
+
+    def anew(self: _Opened) -> _Opened:
+        """The same with notes of its own, so that one reading says nothing of another."""
+        bag = copy(self)
+        bag.notes = list(self.notes)
+        return bag
+
+    @abstractmethod
+    def cut(self, states: Topic, span: Span | None) -> Bag:
+        """A part of it, of every topic. Raises `RecordingError`: The part is behind the last joint state."""
+
+    @abstractmethod
+    def parts(self, states: Topic, most: int) -> list[Span]:
+        """Where to cut so that no part has more than so many joint states, and all about as many; one part where none has more."""
+
+    @abstractmethod
+    def messages(
+        self,
+        topic: Topic,
+        most: int | None = None,
+    ) -> list[tuple[int, Any]]:
+        """Recorder's time [ns] and message, of at most so many bytes each, in the order of time."""
+
+    @abstractmethod
+    def rows(self, topic: Topic) -> list[Rows]:
+        """Joint states or arrays in the order of time; neighbours that differ only in their numbers come together."""
+
+
+class RosBag(Bag):
+    """The open files of one bag."""
 
     def __init__(
         self,
@@ -90,25 +127,17 @@ class Bag:
         files: Sequence[Path],
         readers: list[Reader],
     ) -> None:
-        self.path = path
-        self.notes = [
+        notes = [
             *_notes_of_storage(path, files),
             *(note for reader in readers for note in notes_of(reader)),
             *_notes_of_logs(path),
         ]
-        self.topics = _topics(path, readers)
+        super().__init__(path, notes, _topics(path, readers))
         self._readers = readers
         # recorder's times that are read [ns]
         self._between: tuple[int | None, int | None] = None, None
 
-    def anew(self) -> Bag:
-        """The same open files with notes of their own, so that one reading says nothing of another."""
-        bag = copy(self)
-        bag.notes = list(self.notes)
-        return bag
-
-    def cut(self, states: Topic, span: Span | None) -> Bag:
-        """A part of it, of every topic. Raises `RecordingError`: The part is behind the last joint state."""
+    def cut(self, states: Topic, span: Span | None) -> RosBag:
         bag = self.anew()
         if span is None:
             return bag
@@ -130,7 +159,6 @@ class Bag:
         return bag
 
     def parts(self, states: Topic, most: int) -> list[Span]:
-        """Where to cut so that no part has more than so many joint states, and all about as many; one part where none has more."""
         count = -(-states.size // most)
         if count < 2:
             return [(0, None)]
@@ -160,13 +188,11 @@ class Bag:
         topic: Topic,
         most: int | None = None,
     ) -> list[tuple[int, Any]]:
-        """Recorder's time [ns] and message, of at most so many bytes each, in the order of time (see `_limited`)."""
         return [
             (time_ns, deserialised(raw, topic.msgtype)) for time_ns, raw in self._raw(topic, most)
         ]
 
     def rows(self, topic: Topic) -> list[Rows]:
-        """Joint states or arrays in the order of time; neighbours that differ only in their numbers come together."""
         try:
             found = list(
                 _in_rows(
@@ -479,7 +505,10 @@ def _files(path: Path) -> list[Path]:
                 "a ROS 1 bag; convert it with `rosbags-convert` and give the ROS 2 bag", path
             )
         if not path.name.endswith((*STORAGE, *COMPRESSED)):
-            raise RecordingError("not a bag; give a bag folder, or a .mcap or .db3 file", path)
+            raise RecordingError(
+                "not a bag; give a bag folder, a .mcap or .db3 file, or a table (.csv, .parquet)",
+                path,
+            )
     for file in found:
         for inner in file.iterdir() if file.is_dir() else [file]:
             if inner.name.endswith((*STORAGE, *COMPRESSED)):

@@ -1,4 +1,4 @@
-"""Whatever was recorded, opened once: a bag, one episode of a data set, or a text.
+"""Whatever was recorded, opened once: a bag, one episode of a data set, a table, or a text.
 
 A source is a context; what is asked of it is read while it is open. It knows nothing of robots: the pipeline makes runs or a
 motion of what it gives.
@@ -7,14 +7,14 @@ motion of what it gives.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Generic, TypeVar
 
 from proprio_ros.calibration_files.motors import Motors
-from proprio_ros.errors import ConfigurationError, RecordingError
+from proprio_ros.errors import ConfigurationError, ProprioError, RecordingError, one_line
 from proprio_ros.recordings.contents import (
     Contents,
     contents_of,
@@ -24,12 +24,22 @@ from proprio_ros.recordings.contents import (
 )
 from proprio_ros.recordings.datasets import episode_of, read_episode
 from proprio_ros.recordings.drive_signals import drive_signals_in
-from proprio_ros.recordings.read_options import ReadOptions
+from proprio_ros.recordings.drivers import columns_beside, drivers_of
+from proprio_ros.recordings.headers import Kind
+from proprio_ros.recordings.read_options import Columns, ReadOptions
 from proprio_ros.recordings.reader import Bag, open_bag, readable
 from proprio_ros.recordings.signals import hear, recording_of
+from proprio_ros.recordings.table_bag import COMMANDS, STATES, TableBag, table_bag
+from proprio_ros.recordings.table_columns import Layout, effort_unit_of, is_recorded, layout_of
+from proprio_ros.recordings.tables import Table, is_table, open_table
 from proprio_ros.recordings.text import TextRecording, is_text_recording, read_text_recording
+from proprio_ros.recordings.topics import JOINT_STATE, InputTopic
 from proprio_ros.records import DriveSignals, Recording
 
+SAY_UNITS = (
+    "--driver si says that all is in s, rad, rad/s and N m; other units stand in the header, q1 [deg], or in columns.yaml "
+    "(position_unit: deg)"
+)
 _Read = TypeVar("_Read")
 _Opened = TypeVar("_Opened", bound="RecordingSource")
 
@@ -177,6 +187,94 @@ class EpisodeSource(RecordingSource):
         return read_episode(self._folder, self._index, options)
 
 
+class TableSource(RecordingSource):
+    """A table, which is read as a bag of its rows."""
+
+    def __init__(self, path: Path) -> None:
+        super().__init__(path)
+        self._table: Table | None = None
+
+    def __enter__(self) -> TableSource:
+        self._table = open_table(self.path)
+        return self
+
+    def contents(self, options: ReadOptions) -> Contents:
+        """Its columns, and what each is read as."""
+        headers = self._opened.headers
+        try:
+            layout = self._layout(options)
+        except RecordingError as error:
+            unread = tuple((one_line(header, 60), "") for header in headers)
+            return Contents((), problem=error, columns=unread)
+        positions = [column.header.text for column in layout.of(Kind.POSITION)]
+        named = ((one_line(header, 60), what) for header, what in layout.meanings(headers))
+        return Contents((), one_line(f"{positions[0]} .. {positions[-1]}"), columns=tuple(named))
+
+    def recording(self, options: ReadOptions) -> Recording:
+        """Raises `ConfigurationError`, too: Its columns file is wrong."""
+        bag, options = self._bag(options)
+        return recording_of(hear(bag, options), options)
+
+    def drive_signals(self, options: ReadOptions) -> DriveSignals:
+        return drive_signals_in(*self._bag(options))
+
+    @property
+    def _opened(self) -> Table:
+        assert self._table is not None
+        return self._table
+
+    def _bag(self, options: ReadOptions) -> tuple[TableBag, ReadOptions]:
+        """The table as a bag, and how that is read: names of joints are the driver's, units are known."""
+        layout = self._layout(options)
+        inputs: tuple[InputTopic, ...] = ()
+        if layout.command_unit is not None:
+            inputs = (InputTopic(COMMANDS.removeprefix("/"), JOINT_STATE, layout.command_unit),)
+        conventions = replace(
+            options.conventions, states=STATES.removeprefix("/"), inputs=inputs, radians=1.0
+        )
+        effort = replace(options.effort, unit=layout.effort_unit)
+        options = replace(options, conventions=conventions, effort=effort)
+        return table_bag(self._opened, layout), options
+
+    def _layout(self, options: ReadOptions) -> Layout:
+        if options.state_topic or options.command_topic:
+            raise RecordingError("a table has columns, and no topics: leave them out", self.path)
+        columns = columns_of_table(self.path, options.columns)
+        headers = self._opened.headers
+        fitting = [driver.name for driver in drivers_of((f"/{each}", "") for each in headers)]
+        advice = SAY_UNITS
+        if fitting:
+            advice = f"its columns are those of --driver {' or '.join(fitting)}, which says it"
+        return layout_of(self.path, headers, columns, options, advice)
+
+
+def columns_of_table(path: Path, stated: Columns | None) -> Columns:
+    """What a driver's profile and a file beside a table say of its columns. Raises `ConfigurationError`: The file is wrong."""
+    return replace(stated or Columns(), **columns_beside(path))
+
+
+def is_recorded_table(path: Path) -> bool:
+    """Whether a file is a table with a time and the position of a joint, by its headers."""
+    try:
+        return is_table(path) and is_recorded(open_table(path).headers)
+    except ProprioError:
+        return False
+
+
+def effort_unit_in(paths: Sequence[Path]) -> str | None:
+    """What effort is in by the headers of tables, where all recordings are tables that say the same."""
+    units = set[str | None]()
+    for path in paths:
+        if not is_table(path):
+            return None
+        try:
+            headers = open_table(path).headers
+            units.add(effort_unit_of(headers, columns_of_table(path, None)))
+        except ProprioError:  # reading it says why
+            return None
+    return units.pop() if len(units) == 1 else None
+
+
 class TextSource:
     """The motion of one joint as text, which its setting says all about: it is no `Recording` of an arm."""
 
@@ -200,6 +298,8 @@ def open_source(path: Path) -> RecordingSource | TextSource:
 
 
 def open_recording(path: Path) -> RecordingSource:
-    """The same where only a bag or an episode will do."""
+    """The same where only a bag, an episode or a table will do."""
     episode = episode_of(path)
-    return BagSource(path) if episode is None else EpisodeSource(path, *episode)
+    if episode is not None:
+        return EpisodeSource(path, *episode)
+    return TableSource(path) if is_table(path) else BagSource(path)

@@ -1,4 +1,4 @@
-"""What there is to do: bags, text recordings and episodes of data sets below what the user named."""
+"""What there is to do: bags, tables, text recordings and episodes of data sets below what the user named."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from pathlib import Path
 from proprio_ros.errors import ConfigurationError, RecordingError, one_line
 from proprio_ros.inputs.reading import path_problem
 from proprio_ros.recordings.datasets import is_data_set, open_data_set
+from proprio_ros.recordings.sources import is_recorded_table
 from proprio_ros.recordings.storage import COMPRESSED, STORAGE
 from proprio_ros.recordings.text import is_text_recording
 from proprio_ros.whole_files import real_path
@@ -34,7 +35,7 @@ class Episode:
 def episodes_of(sources: Sequence[str | Path]) -> list[Episode]:
     """All episodes, each once, in the order of the sources and of names within.
 
-    Sources are bags, text recordings, data sets, folders with any of them, and globs.
+    Sources are bags, tables, text recordings, data sets, folders with any of them, and globs.
 
     Raises `ConfigurationError`: A source is not there, or nothing is in any.
     """
@@ -89,8 +90,8 @@ def _below(place: Path) -> Iterator[Episode]:
             inner.remove(name)
         inner.sort()
         for name in sorted(files):
-            if name.endswith((*STORAGE, *COMPRESSED)):
-                path = Path(folder, name)
+            path = Path(folder, name)
+            if name.endswith((*STORAGE, *COMPRESSED)) or is_recorded_table(path):
                 yield Episode(
                     str(place),
                     path.relative_to(place).as_posix(),

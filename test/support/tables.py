@@ -1,0 +1,212 @@
+"""Recordings of bags written as people's tables: bare, of UR's RTDE recorder, of libfranka, merged with commands, Parquet."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from proprio_ros.records import FloatArray, TimeArray
+from support.bends.tape import Stream, tape_of
+
+FIELDS = ("position", "velocity", "effort")
+
+
+@dataclass(frozen=True)
+class Recorded:
+    """What a bag holds, on a clock that begins with it."""
+
+    times_ns: TimeArray  # of the joint states' headers [ns], (T,)
+    joints: tuple[str, ...]
+    position: FloatArray  # [rad], (T, J)
+    velocity: FloatArray  # [rad/s], (T, J)
+    effort: FloatArray  # as it was published, (T, J)
+    command_ns: TimeArray  # when commands were recorded [ns], (C,)
+    commanded: tuple[str, ...]
+    command: FloatArray  # [A], (C, K)
+
+
+def recorded_in(bag: Path) -> Recorded:
+    """The joint states and the current commands of a bag."""
+    tape = tape_of(bag)
+    states = tape.states
+    values = [states.values[field] for field in FIELDS]
+    commands = [each for each in tape.streams if each.topic == "/current_command"]
+    if not commands:
+        none = np.empty(0, dtype=np.int64)
+        return Recorded(states.stamp_ns, states.names, *values, none, (), np.empty((0, 0)))
+    command: Stream = commands[0]
+    labels = tuple(filter(None, ",".join(command.names).split(",")))
+    return Recorded(
+        states.stamp_ns,
+        states.names,
+        *values,
+        command.bag_ns,
+        labels or states.names,
+        command.values["data"],
+    )
+
+
+def decimals(time_ns: int, digits: int = 9) -> str:
+    """A time in units of so many digits, exactly."""
+    return f"{time_ns // 10**digits}.{time_ns % 10**digits:0{digits}d}"
+
+
+def written(
+    path: Path,
+    headers: Sequence[str],
+    columns: Sequence[Sequence[object]],
+    separator: str = ",",
+    before: str = "",
+    comma: bool = False,
+) -> Path:
+    """A text of columns, numbers to their last digit.
+
+    Args:
+        path: To be written.
+        headers: Of the columns.
+        columns: Texts or numbers, each of as many.
+        separator: Between cells.
+        before: What stands before the header.
+        comma: Whether numbers have a decimal comma.
+    """
+    lines = [separator.join(headers)]
+    for row in zip(*columns, strict=True):
+        cells = [cell if isinstance(cell, str) else repr(float(cell)) for cell in row]
+        lines.append(separator.join(cell.replace(".", ",") if comma else cell for cell in cells))
+    path.write_text(before + "\n".join(lines) + "\n")
+    return path
+
+
+def bare(path: Path, found: Recorded, **how: object) -> Path:
+    """``t [s],q0 [rad] .., dq0 [rad/s] .., current0 [A]``."""
+    count = range(len(found.joints))
+    headers = [
+        "t [s]",
+        *(f"q{n} [rad]" for n in count),
+        *(f"dq{n} [rad/s]" for n in count),
+        *(f"current{n} [A]" for n in count),
+    ]
+    columns = [
+        [decimals(int(t)) for t in found.times_ns],
+        *found.position.T,
+        *found.velocity.T,
+        *found.effort.T,
+    ]
+    return written(path, headers, columns, **how)  # type: ignore[arg-type]
+
+
+def rtde(path: Path, found: Recorded) -> Path:
+    """As record.py of UR's RTDE client library writes: a space between columns, fields of its configuration in their order.
+
+    Fields that a bag does not have are zero. Source: UniversalRobots/RTDE_Python_Client_Library, rtde/csv_writer.py and
+    examples/record_configuration.xml, commit 2fa8991.
+    """
+    zeros = np.zeros_like(found.position)
+    one = np.zeros(len(found.times_ns))
+    desired = found.command if len(found.command) == len(zeros) else zeros
+    fields: list[tuple[str, FloatArray]] = [
+        ("target_q", found.position),
+        ("target_qd", found.velocity),
+        ("target_qdd", zeros),
+        ("target_current", desired),
+        ("target_moment", 11.0 * desired),
+        ("actual_q", found.position),
+        ("actual_qd", found.velocity),
+        ("actual_current", found.effort),
+        ("joint_control_output", desired),
+        ("actual_TCP_pose", zeros),
+        ("actual_TCP_speed", zeros),
+        ("actual_TCP_force", zeros),
+        ("target_TCP_pose", zeros),
+        ("target_TCP_speed", zeros),
+        ("actual_digital_input_bits", one),
+        ("joint_temperatures", zeros + 30.0),
+        ("actual_execution_time", one + 0.3),
+        ("robot_mode", one + 7),
+        ("joint_mode", zeros + 253),
+        ("safety_mode", one + 1),
+        ("actual_tool_accelerometer", zeros[:, :3]),
+        ("speed_scaling", one + 1.0),
+        ("target_speed_fraction", one + 1.0),
+        ("actual_momentum", one),
+        ("actual_main_voltage", one + 48.0),
+        ("actual_robot_voltage", one + 48.0),
+        ("actual_robot_current", one + 0.5),
+        ("actual_joint_voltage", zeros + 48.0),
+        ("actual_digital_output_bits", one),
+        ("runtime_state", one + 2),
+    ]
+    headers = ["timestamp"]
+    columns: list[Sequence[object]] = [[decimals(int(t)) for t in found.times_ns]]
+    for name, values in fields:
+        headers += [name] if values.ndim == 1 else [f"{name}_{n}" for n in range(values.shape[1])]
+        columns += [values] if values.ndim == 1 else list(values.T)
+    return written(path, headers, columns, separator=" ")
+
+
+def libfranka(path: Path, found: Recorded, spaced: bool = True) -> Path:
+    """As franka::logToCSV writes seven joints; its times are whole milliseconds.
+
+    Source: frankaemika/libfranka, src/log.cpp, commit 5b7e8cf; without spaces in the header src/logging/robot_state_log.cpp.
+    """
+    zeros = np.zeros_like(found.position)
+    states = [
+        ("state.q", found.position),
+        ("state.q_d", found.position),
+        ("state.dq", found.velocity),
+        ("state.dq_d", found.velocity),
+        ("state.tau_J", found.effort),
+        ("state.tau_ext_hat_filtered", zeros),
+        ("cmd.q_d", found.position),
+        ("cmd.dq_d", found.velocity),
+        ("cmd.O_T_EE_d", np.zeros((len(zeros), 16))),
+        ("cmd.O_dP_EE_d", zeros[:, :6]),
+        ("cmd.tau_J_d", zeros),
+    ]
+    gap = ", " if spaced else ","
+    names = [gap.join(f"{name}[{n}]" for n in range(values.shape[1])) for name, values in states]
+    since_ms = [str(int(t - found.times_ns[0]) // 10**6) for t in found.times_ns]
+    lines = [gap.join(["time", "success_rate", ""]) + ",".join(names)]
+    rows = np.column_stack([np.ones(len(zeros)), *(values for _, values in states)])
+    for time_ms, row in zip(since_ms, rows, strict=True):
+        lines.append(",".join([time_ms, *(repr(float(value)) for value in row)]))
+    path.write_text("\n".join(lines) + "\n")
+    return path
+
+
+def merged(path: Path, found: Recorded, called: Callable[[str], str] = str) -> Path:
+    """Joint states and commands on one clock, a row each, cells of the other empty; joints by their names."""
+    headers = ["time_s", *(f"{called(j)}_position_rad" for j in found.joints)]
+    headers += [f"{called(j)}_velocity_rad_s" for j in found.joints]
+    headers += [f"{called(j)}_effort" for j in found.joints]
+    headers += [f"{called(j)}_command [A]" for j in found.commanded]
+    blank = [""] * len(found.commanded)
+    rows: list[tuple[int, list[str]]] = []
+    for row, time_ns in enumerate(found.times_ns):
+        numbers = [*found.position[row], *found.velocity[row], *found.effort[row]]
+        rows.append((int(time_ns), [*(repr(float(x)) for x in numbers), *blank]))
+    nothing = [""] * (3 * len(found.joints))
+    for row, time_ns in enumerate(found.command_ns):
+        rows.append((int(time_ns), [*nothing, *(repr(float(x)) for x in found.command[row])]))
+    rows.sort(key=lambda each: each[0])
+    lines = [",".join([decimals(time_ns), *cells]) for time_ns, cells in rows]
+    path.write_text("\n".join([",".join(headers), *lines]) + "\n")
+    return path
+
+
+def parquet(path: Path, found: Recorded) -> Path:
+    """A Parquet file with nanoseconds, and a vector a column."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    columns = {
+        "timestamp": pa.array(found.times_ns, pa.timestamp("ns")),
+        "position": pa.array(found.position.tolist(), pa.list_(pa.float64())),
+        "velocity": pa.array(found.velocity.tolist(), pa.list_(pa.float64())),
+        "current": pa.array(found.effort.tolist(), pa.list_(pa.float64())),
+    }
+    pq.write_table(pa.table(columns), path)
+    return path
