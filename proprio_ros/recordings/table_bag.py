@@ -108,6 +108,8 @@ def table_bag(table: Table, layout: Layout) -> TableBag:
     cells = table.read(layout.time.place, layout.places)
     rows = np.array([tick is not None for tick in cells.ticks])
     ticks = [tick for tick in cells.ticks if tick is not None]
+    if not ticks:
+        raise RecordingError(f"{called} holds no time in any row: record it again", table.path)
     notes = [*layout.notes, *cells.notes]
     if not all(rows):
         notes.append(f"{int((~rows).sum())} of {len(rows)} rows have no time; they were left out.")
@@ -122,6 +124,9 @@ def table_bag(table: Table, layout: Layout) -> TableBag:
         unit, why = _shown_unit(ticks, tables, layout, table.path)
         notes.append(why)
     times_ns = np.array(in_ns(ticks, unit, called, table.path), dtype=np.int64)
+    if np.isnan(tables[Kind.POSITION]).all():
+        first = layout.of(Kind.POSITION)[0].header.text
+        raise RecordingError(f"no row has a position ({first} ..): record it again", table.path)
     order = np.argsort(times_ns, kind="stable")
     streams = _streams(
         layout, times_ns[order], {kind: each[order] for kind, each in tables.items()}

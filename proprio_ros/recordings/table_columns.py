@@ -25,8 +25,8 @@ from proprio_ros.recordings.headers import (
 )
 from proprio_ros.recordings.read_options import EFFORT, GOAL, POSITION, Columns, ReadOptions
 
-READ = (Kind.POSITION, Kind.VELOCITY, Kind.EFFORT, Kind.COMMAND, Kind.GOAL)
-"""What is read of each joint."""
+BESIDE = (Kind.VELOCITY, Kind.EFFORT, Kind.COMMAND, Kind.GOAL)
+"""What is read of each joint beside its position."""
 _WORDS_OF = {"N.m": Kind.TORQUE, "A": Kind.CURRENT, "mA": Kind.CURRENT}
 """What a header that says torque or current says against a unit that is stated."""
 
@@ -127,9 +127,11 @@ def layout_of(
     """
     given = _Stated(path, tuple(map(header_of, headers)), columns, options, advice)
     time = _time(given)
-    found = {kind: _numbered_or_named(given, kind, _called(given, kind)) for kind in READ}
-    if not found[Kind.POSITION]:
+    positions = _numbered_or_named(given, Kind.POSITION, _called(given, Kind.POSITION))
+    if not positions:
         raise _no_position(given)
+    found = {kind: _numbered_or_named(given, kind, _called(given, kind)) for kind in BESIDE}
+    found[Kind.POSITION] = positions
     effort_unit, efforts = _efforts(given, found[Kind.EFFORT])
     command_unit, commands, notes = _commands(given, found[Kind.COMMAND])
     found |= {Kind.EFFORT: efforts, Kind.COMMAND: commands}

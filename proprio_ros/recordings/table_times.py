@@ -44,7 +44,7 @@ def unit_shown(
     period = float(np.median([float(step) for step in steps])) / PER_UNIT
     ask = f"state it: {called} [s] or {called} [ms] in the header, or time_unit in columns.yaml"
     if all(step == PER_UNIT for step in steps):
-        raise RecordingError(f"{called} holds row numbers (0, 1, 2 ..), no times; if these are ms, {ask}", path)  # fmt: skip
+        raise RecordingError(_counted(called), path)
     possible = [
         unit
         for unit, parts in IN_SECONDS.items()
@@ -86,7 +86,7 @@ def in_ns(ticks: Sequence[int], unit: str, called: str, path: Path) -> list[int]
         path: Of the table.
 
     Raises:
-        RecordingError: They are longer than any clock counts.
+        RecordingError: They are longer than any clock counts, or too far apart.
     """
     parts = IN_SECONDS[unit]
     times_ns = [(2 * tick + parts) // (2 * parts) for tick in ticks]
@@ -95,7 +95,22 @@ def in_ns(ticks: Sequence[int], unit: str, called: str, path: Path) -> list[int]
         raise RecordingError(
             f"{called} reaches {largest_s:.3g} s, if it is in {unit}: is it?", path
         )
+    _refuse_slow(times_ns, unit, called, path)
     first_ns = min(times_ns)
     if first_ns > EARLIEST_S * PER_UNIT:
         return times_ns
     return [time_ns - first_ns + PER_UNIT for time_ns in times_ns]
+
+
+def _refuse_slow(times_ns: Sequence[int], unit: str, called: str, path: Path) -> None:
+    """Raises `RecordingError`: They are row numbers, or no robot is logged so seldom."""
+    steps = [after - before for before, after in pairwise(times_ns)]
+    if unit == "s" and steps and all(step == PER_UNIT for step in steps):
+        raise RecordingError(_counted(called), path)
+    if steps and float(np.median(steps)) > LONGEST_PERIOD_S * PER_UNIT:
+        apart = f"{float(np.median(steps)) / PER_UNIT:.4g} s apart, if it is in {unit}"
+        raise RecordingError(f"rows of {called} are {apart}: state its unit, as t [ms]", path)
+
+
+def _counted(called: str) -> str:
+    return f"{called} holds row numbers (0, 1, 2 ..), and no times; if these are ms, call it t [ms]"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -25,14 +25,21 @@ class Recorded:
     effort: FloatArray  # as it was published, (T, J)
     command_ns: TimeArray  # when commands were recorded [ns], (C,)
     commanded: tuple[str, ...]
-    command: FloatArray  # [A], (C, K)
+    command: FloatArray  # [A], or [N m] of applied efforts, (C, K)
 
 
 def recorded_in(bag: Path) -> Recorded:
-    """The joint states and the current commands of a bag."""
+    """The joint states of a bag, and its current commands or applied efforts."""
     tape = tape_of(bag)
     states = tape.states
-    values = [states.values[field] for field in FIELDS]
+    none = np.full_like(states.values["position"], np.nan)
+    values = [states.values.get(field, none) for field in FIELDS]
+    applied = [each for each in tape.streams if each.topic == "/applied_effort"]
+    if applied:
+        torque = applied[0].values["effort"]
+        return Recorded(
+            states.stamp_ns, states.names, *values, applied[0].stamp_ns, applied[0].names, torque
+        )
     commands = [each for each in tape.streams if each.topic == "/current_command"]
     if not commands:
         none = np.empty(0, dtype=np.int64)
@@ -177,12 +184,12 @@ def libfranka(path: Path, found: Recorded, spaced: bool = True) -> Path:
     return path
 
 
-def merged(path: Path, found: Recorded, called: Callable[[str], str] = str) -> Path:
+def merged(path: Path, found: Recorded, command: str = "command [A]") -> Path:
     """Joint states and commands on one clock, a row each, cells of the other empty; joints by their names."""
-    headers = ["time_s", *(f"{called(j)}_position_rad" for j in found.joints)]
-    headers += [f"{called(j)}_velocity_rad_s" for j in found.joints]
-    headers += [f"{called(j)}_effort" for j in found.joints]
-    headers += [f"{called(j)}_command [A]" for j in found.commanded]
+    headers = ["time_s", *(f"{joint}_position_rad" for joint in found.joints)]
+    headers += [f"{joint}_velocity_rad_s" for joint in found.joints]
+    headers += [f"{joint}_effort" for joint in found.joints]
+    headers += [f"{joint}_{command}" for joint in found.commanded]
     blank = [""] * len(found.commanded)
     rows: list[tuple[int, list[str]]] = []
     for row, time_ns in enumerate(found.times_ns):
