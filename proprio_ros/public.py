@@ -81,7 +81,6 @@ MODULES: dict[str, tuple[str, ...]] = {
         "drivers",
         "motions",
         "runs",
-        "storage",
         "text",
     ),
     "report": (

@@ -16,6 +16,8 @@ from proprio_ros.inputs.reading import LONGEST_TEXT
 from proprio_ros.recordings.messages import labels_of, stamp_ns
 from proprio_ros.recordings.read_options import ReadOptions
 from proprio_ros.recordings.reader import Bag, open_bag
+from proprio_ros.recordings.storage import COMPRESSED, STORAGE
+from proprio_ros.recordings.tables import is_recorded_table, is_table
 from proprio_ros.recordings.topics import (
     FLOAT_ARRAYS,
     OUR_DRIVER,
@@ -61,6 +63,11 @@ def contents_of(bag: Bag, options: ReadOptions) -> Contents:
     return replace(found, inputs=one_line(inputs[0].name))
 
 
+def is_recorded_file(path: Path) -> bool:
+    """Whether a file is a recording by itself: storage of a bag, or a table with times and positions."""
+    return path.name.endswith((*STORAGE, *COMPRESSED)) or is_recorded_table(path)
+
+
 def parts_of(
     path: str | Path,
     most: int,
@@ -68,7 +75,7 @@ def parts_of(
     state_topic: str | None = None,
     conventions: Conventions = OUR_DRIVER,
 ) -> list[Span]:
-    """Parts of a bag with about as many joint states each, which leave no gap.
+    """Parts of a bag with about as many joint states each, which leave no gap; a table is one part.
 
     Args:
         path: Of the bag.
@@ -82,6 +89,8 @@ def parts_of(
     Raises:
         RecordingError: The bag cannot be read.
     """
+    if is_table(path):
+        return [(0, None)]
     with open_bag(path) as bag:
         return bag.parts(
             bag.topics.states(state_topic, None, conventions),

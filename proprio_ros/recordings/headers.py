@@ -11,6 +11,8 @@ import re
 from dataclasses import dataclass, replace
 from enum import Enum
 
+from proprio_ros.quantity import EFFORTS, POSITIONS, unit_called
+
 
 class Kind(Enum):
     """What the numbers of a column are."""
@@ -58,30 +60,27 @@ class HeaderUnit:
 _ANGLE, _SPEED = (Kind.POSITION, Kind.GOAL), (Kind.VELOCITY,)
 _TORQUE = (Kind.TORQUE, Kind.EFFORT, Kind.COMMAND)
 _CURRENT = (Kind.CURRENT, Kind.EFFORT, Kind.COMMAND)
-_DEGREE = math.pi / 180.0
+_DEGREE = POSITIONS["deg"].in_si
 
 
 def _units(kinds: tuple[Kind, ...], called: str, **factors: float) -> dict[str, HeaderUnit]:
     return {name: HeaderUnit(kinds, called, factor) for name, factor in factors.items()}
 
 
-_BY_KIND: tuple[dict[str, HeaderUnit], ...] = (
+_MORE: tuple[dict[str, HeaderUnit], ...] = (
     _units((Kind.TIME,), "s", **dict.fromkeys(("s", "sec", "secs", "second", "seconds"), 1.0)),
     _units((Kind.TIME,), "ms", **dict.fromkeys(("ms", "msec", "millisecond", "milliseconds"), 1.0)),
     _units((Kind.TIME,), "us", **dict.fromkeys(("us", "µs", "μs", "usec", "microseconds"), 1.0)),
     _units((Kind.TIME,), "ns", **dict.fromkeys(("ns", "nsec", "nanosecond", "nanoseconds"), 1.0)),
-    _units(_ANGLE, "rad", **dict.fromkeys(("rad", "rads", "radian", "radians"), 1.0), mrad=1e-3),
-    _units(_ANGLE, "rad", **dict.fromkeys(("deg", "degs", "degree", "degrees", "°"), _DEGREE)),
+    _units(_ANGLE, "rad", mrad=1e-3),
     _units(_ANGLE, "m", m=1.0, mm=1e-3),
     _units(_SPEED, "rad/s", **dict.fromkeys(("rad/s", "rads", "rads1", "radians/s"), 1.0)),
     _units(_SPEED, "rad/s", **dict.fromkeys(("deg/s", "degs", "°/s", "degrees/s"), _DEGREE)),
     _units(_SPEED, "rad/s", rpm=math.pi / 30.0),
     _units(_SPEED, "m/s", **{"m/s": 1.0, "mm/s": 1e-3}),
-    _units(_TORQUE, "N.m", **dict.fromkeys(("nm", "newtonmeter", "newtonmetre"), 1.0), ncm=1e-2, mnm=1e-3),
-    _units(_CURRENT, "A", **dict.fromkeys(("a", "amp", "amps", "ampere"), 1.0)),
-    _units(_CURRENT, "mA", **dict.fromkeys(("ma", "milliamp", "milliamps"), 1.0)),
-    _units(_CURRENT, "raw", raw=1.0, counts=1.0),
-)  # fmt: skip
+    _units(_TORQUE, "N.m", ncm=1e-2, mnm=1e-3),
+)
+"""Units that only headers have, beside those of `POSITIONS` and `EFFORTS`."""
 
 
 @dataclass(frozen=True)
@@ -212,6 +211,12 @@ def _with_unit(header: Header, text: str) -> Header:
 
 def unit_of(text: str, kind: Kind) -> HeaderUnit | None:
     """A unit of a kind of column by its name, however that is written; None where it is none."""
+    effort = unit_called(text, EFFORTS)
+    if effort in EFFORTS and kind in (_TORQUE if effort == "N.m" else _CURRENT):
+        return HeaderUnit((kind,), effort, 1.0)
+    angle = unit_called(text, POSITIONS)
+    if angle in POSITIONS and kind in _ANGLE:
+        return HeaderUnit((kind,), "rad", POSITIONS[angle].in_si)
     name = re.sub(r"[\s*·⋅.\-_^]", "", text.lower())
-    found = (units[name] for units in _BY_KIND if name in units)
+    found = (units[name] for units in _MORE if name in units)
     return next((unit for unit in found if kind in unit.kinds), None)

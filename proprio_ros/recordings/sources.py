@@ -30,7 +30,7 @@ from proprio_ros.recordings.read_options import Columns, ReadOptions
 from proprio_ros.recordings.reader import Bag, open_bag, readable
 from proprio_ros.recordings.signals import hear, recording_of
 from proprio_ros.recordings.table_bag import COMMANDS, STATES, TableBag, table_bag
-from proprio_ros.recordings.table_columns import Layout, effort_unit_of, is_recorded, layout_of
+from proprio_ros.recordings.table_columns import Layout, effort_unit_of, layout_of
 from proprio_ros.recordings.tables import Table, is_table, open_table
 from proprio_ros.recordings.text import TextRecording, is_text_recording, read_text_recording
 from proprio_ros.recordings.topics import JOINT_STATE, InputTopic
@@ -251,14 +251,6 @@ class TableSource(RecordingSource):
 def columns_of_table(path: Path, stated: Columns | None) -> Columns:
     """What a driver's profile and a file beside a table say of its columns. Raises `ConfigurationError`: The file is wrong."""
     return replace(stated or Columns(), **columns_beside(path))
-
-
-def is_recorded_table(path: Path) -> bool:
-    """Whether a file is a table with a time and the position of a joint, by its headers."""
-    try:
-        return is_table(path) and is_recorded(open_table(path).headers)
-    except ProprioError:
-        return False
 
 
 def effort_unit_in(paths: Sequence[Path]) -> str | None:

@@ -154,12 +154,6 @@ def effort_unit_of(headers: Sequence[str], columns: Columns) -> str | None:
     return units.pop() if len(units) == 1 else columns.effort_unit
 
 
-def is_recorded(headers: Sequence[str]) -> bool:
-    """Whether columns of a table have a time and positions of joints by their headers alone."""
-    kinds = {header.kind for header in map(header_of, headers)}
-    return {Kind.TIME, Kind.POSITION} <= kinds
-
-
 # ---------------------------------------------------------------- which column is what
 
 

@@ -24,6 +24,7 @@ from proprio_ros.errors import ProprioError, RecordingError, one_line
 from proprio_ros.inputs.forms import shortly
 from proprio_ros.inputs.reading import path_problem
 from proprio_ros.recordings.datasets import arrow
+from proprio_ros.recordings.headers import Kind, header_of
 from proprio_ros.records import FloatArray
 
 TEXTS = (".csv", ".tsv", ".txt")
@@ -71,6 +72,15 @@ def is_table(path: str | Path) -> bool:
     return path.suffix.lower() in SUFFIXES and not path_problem(path) and not path.is_dir()
 
 
+def is_recorded_table(path: Path) -> bool:
+    """Whether a file is a table with times and positions, by its headers alone."""
+    try:
+        headers = open_table(path).headers if is_table(path) else ()
+    except ProprioError:
+        return False
+    return {Kind.TIME, Kind.POSITION} <= {header_of(header).kind for header in headers}
+
+
 def open_table(path: Path) -> Table:
     """A table with its headers. Raises `RecordingError`: It is no table, or nothing is in it; `ConfigurationError`: no pyarrow."""
     _refuse_no_file(path)
@@ -96,8 +106,9 @@ def _refuse_no_file(path: Path) -> None:
         raise RecordingError("is empty: record it again", path)
     if found.st_size > MOST_BYTES:
         raise RecordingError(
-            f"has {found.st_size / 1e6:.0f} MB, and {MOST_BYTES / 1e6:.0f} MB are read: cut it, or leave columns out", path
-        )  # fmt: skip
+            f"has {found.st_size / 1e6:.0f} MB, and {MOST_BYTES / 1e6:.0f} MB are read: cut it, or leave columns out",
+            path,
+        )
 
 
 @contextmanager
@@ -256,10 +267,9 @@ def _trimmed(cells: list[str]) -> list[str]:
 
 
 def _all_numbers(cells: Sequence[str]) -> bool:
-    return len(cells) > 1 and all(
-        re.fullmatch(r"[-+]?[\d.,]+([eE][-+]?\d+)?", cell.strip()) or cell.strip().lower() in _MISSING
-        for cell in cells
-    ) and any(cell.strip() for cell in cells)  # fmt: skip
+    filled = [cell.strip() for cell in cells if cell.strip().lower() not in _MISSING]
+    numbers = [cell for cell in filled if re.fullmatch(r"[-+]?[\d.,]+([eE][-+]?\d+)?", cell)]
+    return len(cells) > 1 and bool(filled) and len(numbers) == len(filled)
 
 
 def _with_points(cells: list[list[str]], path: Path) -> list[list[str]]:

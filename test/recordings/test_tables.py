@@ -25,6 +25,9 @@ from support.tables import (
     written,
 )
 
+from proprio_ros.addons.fleet.episodes import episodes_of
+from proprio_ros.addons.fleet.job import Job
+from proprio_ros.addons.fleet.rows import rows_of
 from proprio_ros.cli import main
 from proprio_ros.errors import ConfigurationError, ProprioError, RecordingError
 from proprio_ros.pipeline.check import check_bags
@@ -112,18 +115,34 @@ def columns_of(
 FORMS: dict[str, tuple[str, dict[str, object], dict[str, object]]] = {
     # headers of time, position and effort; how the text is written; how numbers are
     "comma": ("t [s]|q{n} [rad]|tau{n} [Nm]", {}, {}),
-    "semicolons and decimal commas": ("t [s]|q{n} [rad]|tau{n} [N m]", {"separator": ";", "comma": True}, {}),
+    "semicolons and decimal commas": (
+        "t [s]|q{n} [rad]|tau{n} [N m]",
+        {"separator": ";", "comma": True},
+        {},
+    ),
     "tabs": ("time (s)|position {n} (rad)|torque {n} (N*m)", {"separator": "\t"}, {}),
     "spaces": ("t_s|q_{n}_rad|tau_{n}_nm", {"separator": " "}, {}),
     "a byte order mark": ("t [s]|q{n} [rad]|tau{n} [Nm]", {"before": "\ufeff"}, {}),
     "comments": ("t [s]|q{n} [rad]|tau{n} [Nm]", {"before": "# an arm\n% and more\n\n"}, {}),
-    "a spreadsheet's own line": ("t [s]|q{n} [rad]|tau{n} [Nm]", {"separator": "|", "before": "sep=|\n"}, {}),
+    "a spreadsheet's own line": (
+        "t [s]|q{n} [rad]|tau{n} [Nm]",
+        {"separator": "|", "before": "sep=|\n"},
+        {},
+    ),
     "milliseconds": ("t [ms]|q{n} [rad]|tau{n} [Nm]", {}, {"digits": 6}),
     "microseconds": ("Time (us)|q{n} [rad]|tau{n} [Nm]", {}, {"digits": 3}),
     "degrees": ("t [s]|q{n} [deg]|tau{n} [Nm]", {}, {"degrees": 180.0 / np.pi}),
-    "degrees in words": ("timestamp|joint_{n}_pos_deg|joint_{n}_effort [Nm]", {}, {"degrees": 180.0 / np.pi}),
-    "a time that begins at 0": ("t [s]|q{n} [rad]|tau{n} [Nm]", {}, {"first_ns": 1_760_000_000_000_000_000}),
-}  # fmt: skip
+    "degrees in words": (
+        "timestamp|joint_{n}_pos_deg|joint_{n}_effort [Nm]",
+        {},
+        {"degrees": 180.0 / np.pi},
+    ),
+    "a time that begins at 0": (
+        "t [s]|q{n} [rad]|tau{n} [Nm]",
+        {},
+        {"first_ns": 1_760_000_000_000_000_000},
+    ),
+}
 
 
 @pytest.mark.parametrize("form", FORMS)
@@ -447,6 +466,19 @@ def under(header: str) -> Callable[[Path], None]:
 Q = "q0 [rad],q1 [rad],q2 [rad],q3 [rad],q4 [rad]"
 
 
+def text(content: str) -> Callable[[Path], object]:
+    return lambda path: path.write_text(content)
+
+
+def data(content: bytes) -> Callable[[Path], object]:
+    return lambda path: path.write_bytes(content)
+
+
+def large(path: Path) -> None:
+    path.touch()
+    os.truncate(path, 600_000_000)
+
+
 def rows(header: str, row: str) -> Callable[[Path], object]:
     """A table of nine rows, in which `#` stands for the number of each."""
     lines = [row.replace("#", str(n)) for n in range(9)]
@@ -454,21 +486,24 @@ def rows(header: str, row: str) -> Callable[[Path], object]:
 
 
 WRONG: dict[str, tuple[Callable[[Path], object], str]] = {
-    "empty": (lambda path: path.write_text(""), "is empty"),
-    "binary": (lambda path: path.write_bytes(np.random.default_rng(1).bytes(5000)), "no text"),
-    "zeros": (lambda path: path.write_bytes(bytes(5000)), "no text"),
-    "utf-16": (lambda path: path.write_bytes("t [s],q0\n0,1\n".encode("utf-16")), "UTF-8"),
-    "latin-1": (lambda path: path.write_bytes("t,q0 [°]\n0,1\n".encode("latin-1")), "UTF-8"),
+    "empty": (text(""), "is empty"),
+    "binary": (data(np.random.default_rng(1).bytes(5000)), "no text"),
+    "zeros": (data(bytes(5000)), "no text"),
+    "utf-16": (data("t [s],q0\n0,1\n".encode("utf-16")), "UTF-8"),
+    "latin-1": (data("t,q0 [°]\n0,1\n".encode("latin-1")), "UTF-8"),
     "a pipe": (os.mkfifo, "a pipe"),
     "not there": (lambda path: None, "No such file"),
-    "too large": (lambda path: (path.touch(), os.truncate(path, 600_000_000)), "500 MB are read"),
-    "an endless line": (lambda path: path.write_text("t," + "q" * 3_000_000 + "\n1,2\n"), "field"),
-    "a header alone": (lambda path: path.write_text(f"t [s],{Q}\n"), "no row"),
-    "one row": (lambda path: path.write_text(f"t [s],{Q}\n0,1,1,1,1,1\n"), "at least 5"),
-    "no header": (lambda path: path.write_text("0.0,1,2\n0.1,1,2\n"), "has no header"),
-    "prose": (lambda path: path.write_text("Dear reader,\nthis is none.\n"), "as many cells"),
-    "decimal commas between commas": (lambda path: path.write_text("t,q0\n0,1,1,5\n"), "decimal commas need"),
-    "points and commas": (rows(f"t [s];{Q.replace(',', ';')}", "0,#;1.5;1;1;1;1"), "which one is decimal"),
+    "too large": (large, "500 MB are read"),
+    "an endless line": (text("t," + "q" * 3_000_000 + "\n1,2\n"), "field"),
+    "a header alone": (text(f"t [s],{Q}\n"), "no row"),
+    "one row": (text(f"t [s],{Q}\n0,1,1,1,1,1\n"), "at least 5"),
+    "no header": (text("0.0,1,2\n0.1,1,2\n"), "has no header"),
+    "prose": (text("Dear reader,\nthis is none.\n"), "as many cells"),
+    "decimal commas between commas": (text("t,q0\n0,1,1,5\n"), "decimal commas need"),
+    "points and commas": (
+        rows(f"t [s];{Q.replace(',', ';')}", "0,#;1.5;1;1;1;1"),
+        "which one is decimal",
+    ),
     "no time": (under(f"frame,{Q}"), "no column of time"),
     "two times": (under(f"t [s],time [s],{Q}"), "2 columns of time"),
     "no positions": (under("t [s],tau0,tau1"), "no column is the position"),
@@ -483,8 +518,11 @@ WRONG: dict[str, tuple[Callable[[Path], object], str]] = {
     "a long line": (changed("0.2,1,1,1,1,1,1"), "line 22"),
     "no times": (rows(f"t [s],{Q}", "nan,1,1,1,1,1"), "no time in any row"),
     "nan": (rows(f"t [s],{Q}", "0.#,,nan,NA,null,"), "no row has a position"),
-    "nanoseconds as seconds": (rows(f"t [s],{Q}", "176000000000000000#,1,1,1,1,1"), "if it is in s: is it"),
-}  # fmt: skip
+    "nanoseconds as seconds": (
+        rows(f"t [s],{Q}", "176000000000000000#,1,1,1,1,1"),
+        "if it is in s: is it",
+    ),
+}
 
 
 @pytest.mark.parametrize("what", WRONG)
@@ -543,7 +581,7 @@ def test_parquet_says_what_is_missing_or_wrong(
     (tmp_path / "bad.parquet").write_bytes(b"PAR1" + bytes(99) + b"PAR1")
     assert "not readable as a Parquet table" in refusal(tmp_path / "bad.parquet")
     monkeypatch.setitem(sys.modules, "pyarrow", None)
-    with pytest.raises(ConfigurationError, match=r"pip install 'proprio_ros\[batch\]'"):
+    with pytest.raises(ConfigurationError, match=r"pyarrow is missing.*\[batch\]"):
         open_table(table)
     assert open_table(bare(tmp_path / "log.csv", elbow())).headers[0] == "t [s]"
 
@@ -558,6 +596,17 @@ def test_check_says_what_each_column_is(tmp_path: Path, capsys: pytest.CaptureFi
     assert main(["check", str(table), "--json"]) == 0
     columns = json.loads(capsys.readouterr().out)["bags"][0]["columns"]
     assert columns[1] == {"name": "joint1_position_rad", "read_as": "position of joint1"}
+
+
+def test_a_batch_finds_tables_of_recordings_in_folders(tmp_path: Path) -> None:
+    """Other tables, such as its own results, are none."""
+    table = bare(tmp_path / "deep" / "log.csv", elbow())
+    (tmp_path / "results.csv").write_text("name,mass_g\na,20\n")
+    (tmp_path / "words.txt").write_text("what it is\n")
+    (found,) = episodes_of([tmp_path])
+    assert found.path == str(table) and found.index is None
+    (row,) = rows_of(found, Job(options=Options()))
+    assert "the motion lasts 0.6 s" in " ".join(row["reasons"])  # so it was read
 
 
 def test_a_name_says_that_it_is_a_table(tmp_path: Path) -> None:

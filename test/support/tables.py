@@ -83,6 +83,7 @@ def written(
     for row in zip(*columns, strict=True):
         cells = [cell if isinstance(cell, str) else repr(float(cell)) for cell in row]
         lines.append(separator.join(cell.replace(".", ",") if comma else cell for cell in cells))
+    path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(before + "\n".join(lines) + "\n")
     return path
 

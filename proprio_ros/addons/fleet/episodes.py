@@ -10,9 +10,8 @@ from pathlib import Path
 
 from proprio_ros.errors import ConfigurationError, RecordingError, one_line
 from proprio_ros.inputs.reading import path_problem
+from proprio_ros.recordings.contents import is_recorded_file
 from proprio_ros.recordings.datasets import is_data_set, open_data_set
-from proprio_ros.recordings.sources import is_recorded_table
-from proprio_ros.recordings.storage import COMPRESSED, STORAGE
 from proprio_ros.recordings.text import is_text_recording
 from proprio_ros.whole_files import real_path
 
@@ -91,7 +90,7 @@ def _below(place: Path) -> Iterator[Episode]:
         inner.sort()
         for name in sorted(files):
             path = Path(folder, name)
-            if name.endswith((*STORAGE, *COMPRESSED)) or is_recorded_table(path):
+            if is_recorded_file(path):
                 yield Episode(
                     str(place),
                     path.relative_to(place).as_posix(),

@@ -19,7 +19,6 @@ from proprio_ros.pipeline.request import Options, Request, request_of
 from proprio_ros.probes.base import Online, Recorded
 from proprio_ros.recordings.contents import parts_of
 from proprio_ros.recordings.datasets import parts_of_episode
-from proprio_ros.recordings.tables import is_table
 from proprio_ros.recordings.text import is_text_recording
 from proprio_ros.records import Span
 from proprio_ros.schema import calibration_used, reason_codes
@@ -129,10 +128,7 @@ def spans_of(
     parts: Sequence[Span] = []
     if episode.index is not None:
         parts = parts_of_episode(episode.source, episode.index, MOST_SAMPLES)
-    elif (
-        not (is_text_recording(episode.path) or is_table(episode.path))
-        and _bytes_of(Path(episode.path)) >= LEAST_BYTES
-    ):
+    elif not is_text_recording(episode.path) and _bytes_of(Path(episode.path)) >= LEAST_BYTES:
         conventions = request.conventions
         state_topic = job.options.state_topic
         parts = parts_of(
