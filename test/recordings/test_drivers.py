@@ -234,7 +234,7 @@ def test_every_profile_loads_says_where_it_is_from_and_is_documented(name: str) 
     driver = load_driver(name)
     text = resource("drivers", name).read_text()
     assert driver.title and (
-        name == "proprio" or re.search(r"Source: [\s\S]*commit\s+#?\s*[0-9a-f]{7}", text)
+        name in ("proprio", "si") or re.search(r"Source: [\s\S]*commit\s+#?\s*[0-9a-f]{7}", text)
     )
     page = (ROOT / "docs" / "pages" / "another_robot.md").read_text().split("## Name the driver")[1]
     (row,) = re.findall(rf"^\| `{name}` \|.*$", page, re.MULTILINE)
@@ -288,7 +288,7 @@ def test_a_bad_profile_gives_one_line(tmp_path: Path, text: str, pattern: str) -
 
 
 def test_a_profile_that_is_not_there() -> None:
-    with refused("driver ur: unknown; did you mean ur_current or ur_torque"):
+    with refused("driver ur: unknown; did you mean ur_current or ur_rtde or ur_torque"):
         load_driver("ur")
     with refused("driver no/such.yaml: there is no such file"):
         load_driver("no/such.yaml")
