@@ -16,6 +16,7 @@ from proprio_ros.identification.gates import MIN_USED, UNMOVED_RAD, Findings, sc
 from proprio_ros.identification.prepared_runs import KnownLoad, PreparedRun, prepare_run
 from proprio_ros.identification.reasons import Reason, about
 from proprio_ros.identification.regression.at_rest import refuse_useless
+from proprio_ros.identification.regression.causes import torque_cause
 from proprio_ros.identification.regression.one_joint_fit import fit_one_joint
 from proprio_ros.identification.regression.one_joint_known import tables_of
 from proprio_ros.identification.solvable import solvable
@@ -204,7 +205,7 @@ def _shown(
         motion=looked.motion,
         moves=moved,
         still=tuple(name for name in names if name not in moved),
-        findings=seen,
+        findings=(*seen, *_contradicted(request, looked.motion, units)),
         effort_units=units,
         sign_option=effort_sign_option(names, names, recording.joints.turned),
         effort_per_N_m=per_torque,
@@ -264,6 +265,20 @@ def _refuse_motion(robot: Robot, motion: Motion) -> None:
         tables_of(robot, motion, motion.joints[0])
     else:
         fit_one_joint(robot, [motion], motion.joints[0])
+
+
+def _contradicted(
+    request: Request, motion: Motion | None, units: Sequence[EffortUnit]
+) -> tuple[Finding, ...]:
+    """The one mistake that explains the torques of a motion which are not those that gravity needs by the URDF."""
+    if motion is None or len(motion.joints) < 2:
+        return ()
+    if any(each.plausible and each.unit == request.unit for each in units):
+        return ()
+    cause = torque_cause(request.robot, motion)
+    if cause is None:
+        return ()
+    return (Finding("unlike_urdf", cause.sentence(()), motion.joints),)
 
 
 def _spacing(times_s: FloatArray) -> dict[str, Any]:

@@ -287,20 +287,22 @@ def _unwrapped(
         position = np.where(wrapped, turned, position)
     if gaps.any() and (steps[gaps] * wrapped).max() > LARGEST_STEP_RAD:
         row = int(np.flatnonzero(gaps)[(steps[gaps] * wrapped).max(axis=1).argmax()])
-        joint = joints[int((steps[row] * wrapped).argmax())]
+        far = steps[row] * wrapped > LARGEST_STEP_RAD
+        unknown = [joint for joint, each in zip(joints, far, strict=True) if each]
         took_s = float(times_s[row + 1] - times_s[row])
         since_s = float(times_s[row] - times_s[0])
         raise RecordingError(
-            f"no joint states came for {took_s:.2f} s after {since_s:.1f} s, and {joint}, whose angle wraps around, turned "
-            "meanwhile by nobody knows how much: give the part before that gap or behind it, --span FROM:TO",
+            f"no joint states came for {took_s:.2f} s after {since_s:.1f} s, and of joints whose angle wraps around "
+            f"{', '.join(unknown)} turned meanwhile by nobody knows how much: give the part before that gap or behind it, "
+            "--span FROM:TO",
             name,
         )
-    far = np.abs(np.diff(position, axis=0)[~gaps]).max(axis=0)
-    if far.max() > LARGEST_STEP_RAD:
+    largest = np.abs(np.diff(position, axis=0)[~gaps]).max(axis=0)
+    if largest.max() > LARGEST_STEP_RAD:
         raise RecordingError(
-            f"{joints[int(far.argmax())]} jumps by {far.max():.2f} rad between two samples, which no joint does: angles "
+            f"{joints[int(largest.argmax())]} jumps by {largest.max():.2f} rad between two samples, which no joint does: angles "
             "that wrap around otherwise than by a turn must be unwrapped first, and degrees converted to rad"
-            f"{hint_of(far.max())}",
+            f"{hint_of(largest.max())}",
             name,
         )
     return position

@@ -126,9 +126,9 @@ def test_the_meaning_of_effort_is_stated_or_left_out(tmp_path: Path) -> None:
     assert current is not None
     assert np.allclose(current.current_A, 1e-3 * recording.joints.reported_effort)
     with pytest.raises(
-        ConfigurationError, match=r"'counts' is not known; choose from N\.m, A, mA, raw"
+        ConfigurationError, match=r"'furlongs' is not known; choose from N\.m, A, mA, raw"
     ):
-        read(folder, effort_unit="counts")
+        read(folder, effort_unit="furlongs")
 
 
 def test_joints_get_the_robots_names(tmp_path: Path) -> None:

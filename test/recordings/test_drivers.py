@@ -244,6 +244,18 @@ def test_every_profile_loads_says_where_it_is_from_and_is_documented(name: str) 
     assert all(f"| `{key}` |" in settings for key in (*FORMS, *INPUT))
 
 
+@pytest.mark.parametrize("name", ["piper", "xarm", "unitree_z1", "schunk_lwa"])
+def test_a_unit_that_nobody_documents_is_asked_for(name: str, tmp_path: Path) -> None:
+    driver = load_driver(name)
+    assert driver.effort_unit is None and driver.notes
+    topic = f"/{driver.conventions.states}"
+    values = dict.fromkeys(JOINTS, (0.1, 0.0, 0.5))
+    messages = [state(ONSET_NS + n * CYCLE_NS, values, topic) for n in range(40)]
+    bag = write_bag(tmp_path / "bag", messages)
+    with refused("is not stated; state it with --effort-unit", RecordingError):
+        bag_recording(bag, Request(ARM, Options(driver=name)))
+
+
 def test_what_holds_without_a_profile_is_that_of_our_driver() -> None:
     assert (
         replace(load_driver("proprio").conventions, driver="")

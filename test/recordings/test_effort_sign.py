@@ -221,3 +221,24 @@ def test_a_gen3_as_its_vendors_driver_publishes_it(
     assert main([*asked, "--effort-sign", "1"]) == 3
     reasons = " ".join(json.loads(capsys.readouterr().out)["reasons"])
     assert "--effort-sign -1 states it" in reasons
+
+
+@pytest.mark.skipif(not (REAL / "ar5_side_mounted_1").exists(), reason="needs the real recordings")
+def test_an_arm_on_its_side_is_told_the_gravity_to_paste(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """With what the sentence says the torques are those of its URDF."""
+    robot = str(tmp_path / "ar5.yaml")
+    urdf = str(REAL / "models" / "ar5.urdf")
+    assert main(["robot", "new", urdf, "--effort-unit", "N.m", "--output", robot]) == 0
+    asked = ["check", str(REAL / "ar5_side_mounted_1"), "--robot", robot, "--effort-unit", "N.m"]
+    capsys.readouterr()
+    main([*asked, "--json"])
+    (bag,) = json.loads(capsys.readouterr().out)["bags"]
+    (sentence,) = [each["sentence"] for each in bag["findings"] if each["code"] == "unlike_urdf"]
+    option = next(word for word in sentence.split() if word.startswith("robot.gravity="))
+    main([*asked, "--json", "--set", option])
+    (bag,) = json.loads(capsys.readouterr().out)["bags"]
+    assert "unlike_urdf" not in {each["code"] for each in bag["findings"]}
+    (unit,) = [each for each in bag["effort_units"] if each["unit"] == "N.m"]
+    assert len(unit["ratio"]) >= 4 and all(0.9 < ratio < 1.15 for ratio in unit["ratio"].values())

@@ -14,6 +14,7 @@ from proprio_ros.cli import main
 from proprio_ros.inputs.resources import resource
 from proprio_ros.pipeline.check import check_bags
 from proprio_ros.pipeline.request import Options
+from proprio_ros.recordings.drivers import load_driver
 from proprio_ros.robot import load_robot
 from proprio_ros.robot.drives import DutyCycle, PositionServo
 
@@ -283,7 +284,11 @@ def test_a_ready_robot_reads_a_recording_of_its_driver(
 ) -> None:
     """Names of joints, topic and unit agree: MuJoCo's torque is what the robot's links need, in the driver's unit."""
     robot = load_robot(name)
-    constants = {joint: drive.torque_constant.value for joint, drive in robot.drive_trains.items()}
+    signs = load_driver(driver).effort_sign
+    constants = {
+        joint: signs.of(joint) * drive.torque_constant.value
+        for joint, drive in robot.drive_trains.items()
+    }
     middle = [0.0, -0.8, 0.9, 0.3, 0.2, 0.0, 0.0][: len(constants)]
     bag = record_arm(
         tmp_path / "bag",
@@ -325,8 +330,12 @@ def test_a_ready_robot_weighs(
     robot = load_robot(name)
     random = np.random.default_rng(8)
     per_unit = 1e-3 if driver == "interbotix" else 1.0  # mA
+    signs = load_driver(driver).effort_sign
+    per_joint = {joint: signs.of(joint) * per_unit for joint in robot.drive_trains}
     constants = {
-        joint: per_unit * drive.torque_constant.value * (1.0 + 0.05 * random.standard_normal())
+        joint: per_joint[joint]
+        * drive.torque_constant.value
+        * (1.0 + 0.05 * random.standard_normal())
         for joint, drive in robot.drive_trains.items()
     }
     small = {"friction_N_m": 0.1, "rotor_kg_m2": 0.01} if driver == "interbotix" else {}

@@ -295,7 +295,7 @@ def _by_gravity(robot: Robot, motion: Motion, model: _Model) -> Iterator[_Tried]
     shown = ",".join(f"{value:.2f}" for value in found)
     said = (
         f"its torques are those of an arm on which gravity pulls along [{shown}] m/s^2 of the base, and the robot file says "
-        "otherwise: is the base mounted so?"
+        "otherwise. Where the base is mounted so"
     )
     yield model.left(model.rows.torque)[0], said, f"--set robot.gravity=[{shown}]"
 

@@ -301,6 +301,8 @@ def _of_an_unknown_arm(robot: Robot, motions: Sequence[Motion]) -> Estimate:
         "the arm moved under a controller, and a URDF alone puts an arm off by some percent of its own weight: record about "
         "the same motion with an empty hand and add it with --baseline, or calibrate with it (`proprio calibrate`)",
     )
+    # what the recording contradicts would stand in the way of an empty hand's, too
+    unknown = with_cause(unknown, robot, motions)
     nothing = [positive("payload_mass", "kg", 0.0, 0.0, unknown.withheld)]
     assumptions = _assumptions(robot, motions, None, None)
     return motion_answer(

@@ -100,6 +100,16 @@ def test_gravity_from_elsewhere_is_named(robot: Robot, motion: Motion) -> None:
     assert np.arccos(-stated[2] / np.linalg.norm(stated)) < 0.1
 
 
+def test_gravity_is_named_where_no_empty_motion_is_there_yet(robot: Robot, motion: Motion) -> None:
+    """It would stand in the way of that one, too."""
+    wall = replace(robot, gravity=np.array([9.81, 0.0, 0.0]))
+    answer = identify_in_motion(wall, [motion], [], PayloadFacts())
+    assert answer.verdict is Verdict.REJECTED and "empty hand" in answer.reasons[-1]
+    assert "--set robot.gravity=[" in answer.reasons[0]
+    answer = identify_in_motion(robot, [motion], [], PayloadFacts())
+    assert answer.verdict is Verdict.NOT_IDENTIFIABLE and len(answer.reasons) == 1
+
+
 def test_nothing_is_named_where_nothing_is_wrong(robot: Robot, motion: Motion) -> None:
     assert torque_cause(robot, motion) is None
     refusal = rejected(
