@@ -102,6 +102,26 @@ def test_mistakes_get_one_line(
     assert len(lines) == 1 and lines[0].startswith("proprio: ") and words in lines[0]
 
 
+def test_check_says_that_torque_constants_are_missing(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A file as `robot new` writes it, before anything is stated there."""
+    file = str(tmp_path / "arm.yaml")
+    assert main(["robot", "new", str(ROOT / "urdf/open_manipulator_x.urdf"), "--output", file]) == 0
+    capsys.readouterr()
+    written = Path(file).read_text()
+    assert "transmission_m_per_rad: null" in written
+    Path(file).write_text(
+        written.replace("transmission_m_per_rad: null", "transmission_m_per_rad: 0.01")
+    )
+    main(["check", BAG, "--robot", file, "--json"])
+    said = capsys.readouterr().out
+    assert '"no_torque_constants"' in said
+    assert "missing: motor.nominal_torque_constant_N_m_per_A of joint1, " in said
+    main(["check", BAG, "--json"])
+    assert "no_torque_constants" not in capsys.readouterr().out
+
+
 def test_weigh_is_another_name_of_replay(capsys: pytest.CaptureFixture[str]) -> None:
     assert proprio_ros.replay is proprio_ros.weigh
     said = []

@@ -80,7 +80,7 @@ REMEDIES = {
     "on_bound": "check robot, joint and unit of the current; for a delay, stamp commands and joint states by one clock",
     "misfit": "check the effort's unit and sign, the robot file, and that nothing touched the arm; `proprio check` helps",
     "coarse_fit": "nothing, if the interval is narrow enough; else calibrate the robot",
-    "arm_unlike_urdf": "check the effort's unit and sign, the torque constants, the URDF's masses and zeros, and payload.com",
+    "arm_unlike_urdf": "put a mounted tool into the URDF; check the effort's unit and sign, torque constants, zeros, payload.com",
     "other_torque": "record both with the same driver, unit and torque constants, on the same arm",
     "other_zero": "put the joint together as it was, or calibrate again; where its URDF's zero is off, correct it there",
     "leans_on_zero": "add an empty-hand run of today with --baseline",

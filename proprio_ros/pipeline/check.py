@@ -85,6 +85,15 @@ def check_bags(
     ]
 
 
+def _lacking(options: Options) -> str:
+    """What a robot file lacks that everything but a look needs; nothing where it is whole."""
+    try:
+        read_request(options, _any_object)
+    except RobotError as error:
+        return str(error)
+    return ""
+
+
 def _any_object(settings: Settings) -> None:
     """Whatever is stated about an object."""
     for start in ("solver.", *(start for probe in all_probes() for start in probe.keys)):
@@ -223,7 +232,7 @@ def _findings(
     robot = request.robot
     seen = (
         *findings(recording, slides),
-        *_of_robot(robot, recording, request.unit),
+        *_of_robot(request, recording),
     )
     # what the law of a position servo makes of goal and position needs no effort
     drives = {name: drive.driven_by for name, drive in robot.drive_trains.items()}
@@ -293,22 +302,23 @@ def _spacing(times_s: FloatArray) -> dict[str, Any]:
     }
 
 
-def _of_robot(
-    robot: Robot,
-    recording: Recording,
-    effort_unit: str | None,
-) -> tuple[Finding, ...]:
+def _of_robot(request: Request, recording: Recording) -> tuple[Finding, ...]:
     """What the robot that was named leaves open."""
+    robot = request.robot
     recorded = recording.joints.names
     file = robot.source.name
     if not set(recorded) & set(robot.model.independent_joints):
         why = f"none of these joints is one of {robot.name}: name the robot with --robot NAME, FILE or URDF"
         return (Finding("other_robot", why, recorded),)
-    if is_description(str(robot.source)) and effort_unit != "N.m":
+    if is_description(str(robot.source)) and request.unit != "N.m":
         why = (
             f"{file} states no torque constants: write a file with `proprio robot new` and state them there, or "
             "--effort-unit N.m where effort is torque"
         )
+        return (Finding("no_torque_constants", why),)
+    lacking = _lacking(request.options)
+    if lacking:
+        why = f"{lacking}; until then `replay` and `calibrate` refuse it"
         return (Finding("no_torque_constants", why),)
     found = []
     for name, drive in robot.drive_trains.items():

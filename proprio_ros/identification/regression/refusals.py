@@ -27,6 +27,8 @@ UNEXPLAINED_SHARE = 0.5
 """A joint whose torque is unexplained by more than this share has another unit, sign or controller than stated."""
 REVERSED_SHARE = 0.9
 """A torque of which more is left over than this is not explained at all, as where it is counted the other way round."""
+AS_A_TOOL = 2.5
+"""How many times what its URDF says an arm may weigh by what is mounted on it: most hands and tools are lighter than the arm."""
 URDF_RATIO = 1.35
 """URDFs were seen to be off by 8 to 16 %; an arm that weighs more or less than that has other units or torque constants."""
 APART_SIGMAS = 4.0  # What differs by more standard deviations is not the same.
@@ -115,6 +117,17 @@ def times(factor: float) -> str:
     return f"{factor:.2f} times" if abs(factor) < 100.0 else "over 100 times"
 
 
+def _tool(arm_over_urdf: float) -> str:
+    """The first question where an arm weighs more or less than stated by no more than what hands and tools do."""
+    if 1.0 < arm_over_urdf < AS_A_TOOL:
+        return (
+            "is a tool or hand mounted in both recordings that the URDF lacks? Put it there. Else "
+        )
+    if 1.0 / AS_A_TOOL < arm_over_urdf < 1.0:
+        return "has the URDF a hand or tool that is not mounted? Else "
+    return ""
+
+
 def unlike_urdf(arm_over_urdf: float, motion: Motion) -> Iterator[Refusal]:
     """Where the arm weighs far more or less by its torques than by its URDF, or hangs on them the other way round.
 
@@ -133,7 +146,7 @@ def unlike_urdf(arm_over_urdf: float, motion: Motion) -> Iterator[Refusal]:
         yield rejected(
             "arm_unlike_urdf",
             "the arm does not fit its URDF",
-            f"{words}, and a payload would be off by as much: "
+            f"{words}, and a payload would be off by as much: {_tool(arm_over_urdf)}"
             f"check the effort's {'unit' if arm_over_urdf > 0.0 else 'sign'}, the torque constants and the URDF's masses, "
             "and that empty and loaded recordings are not mixed up",
         )
