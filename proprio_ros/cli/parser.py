@@ -137,11 +137,11 @@ def _replay(add: Callable[..., Parser]) -> None:
         aliases=["weigh"],
         command=obey.replay,
         help="identify from recorded bags",
-        description="Identify what the hand holds from recorded bags (sqlite3 or MCAP). Several bags give one pooled estimate. "
+        description="Identify what the hand holds from bags (sqlite3 or MCAP) or tables. Several give one pooled estimate. "
         "`proprio weigh` is the same command.",
         epilog=EXIT_CODES,
     )
-    folders = "bag folder or file, or a folder with trajectory.csv, setting.json"
+    folders = "bag folder or file, table (.csv, .parquet), FOLDER#EPISODE of a data set, folder with trajectory.csv, setting.json"
     it.add_argument("bags", nargs="+", metavar="BAG", help=folders)
     it.add_argument("--probe", required=True, choices=probe_names(), help="what to identify")
     it.share("robot", "calibration")

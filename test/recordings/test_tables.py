@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 from support.bends.tape import tape_of
+from support.recording_bag import write_recording
 from support.tables import (
     Recorded,
     bare,
@@ -37,7 +38,8 @@ from proprio_ros.recordings.headers import Kind, header_of
 from proprio_ros.recordings.read_options import ReadOptions
 from proprio_ros.recordings.sources import TableSource, open_recording, open_source
 from proprio_ros.recordings.tables import open_table
-from proprio_ros.records import Recording
+from proprio_ros.records import JointRecord, Recording
+from proprio_ros.robot import load_robot
 
 ROOT = Path(__file__).resolve().parents[2]
 BAGS = ROOT / "bags"
@@ -235,6 +237,29 @@ def test_libfrankas_log_is_read_in_milliseconds(tmp_path: Path, spaced: bool) ->
         read(bag, driver="franka", robot=robot),
         read(table, driver="franka_log", robot=robot),
     )
+
+
+@pytest.mark.parametrize(
+    ("robot", "of_bag", "of_table", "write"),
+    [("ur10e", "ur_current", "ur_rtde", rtde), ("panda", "franka", "franka_log", libfranka)],
+)
+def test_what_makers_record_is_read_as_a_bag_of_the_same_numbers(
+    tmp_path: Path, robot: str, of_bag: str, of_table: str, write: Callable[[Path, Recorded], Path]
+) -> None:
+    joints = tuple(load_robot(robot).drive_trains)
+    times_ns = elbow().times_ns
+    phase = 2e-9 * (times_ns - times_ns[0])[:, None] + np.arange(len(joints))
+    record = JointRecord(
+        times_ns, joints, np.sin(phase), 2.0 * np.cos(phase), 3.0 * np.sin(2.0 * phase)
+    )
+    bag = tmp_path / "bag"
+    write_recording(bag, Recording("made", record, None))
+    table = write(tmp_path / "log.csv", recorded_in(bag))
+    same(read(bag, driver=of_bag, robot=robot), read(table, driver=of_table, robot=robot))
+
+
+def test_the_table_that_comes_along_is_the_bag_that_comes_along() -> None:
+    same(read(PUSH), read(ROOT / "examples" / "push.csv"))
 
 
 def test_a_table_of_one_joint_needs_no_number(tmp_path: Path) -> None:
