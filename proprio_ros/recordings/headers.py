@@ -42,7 +42,7 @@ _ASKED = {"cmd", "command", "commanded", "target", "desired", "des", "d", "ref",
 _ASKED |= {"goal", "set", "setpoint", "applied"}
 """Words of what was asked for, not measured."""
 _MEASURED = {"actual", "measured", "meas", "state", "states", "present", "feedback"}
-_MEASURED |= {"msg", "field", "robot"}
+_MEASURED |= {"msg", "field"}
 """Words that add nothing."""
 _NUMBERED = {"joint", "joints", "axis", "motor", "j", "a"}
 """Words before the number of a joint."""

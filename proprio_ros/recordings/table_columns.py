@@ -297,13 +297,18 @@ def _listed(given: _Stated) -> str:
 
 
 def _numbers_noted(given: _Stated, found: Mapping[Kind, tuple[Column, ...]]) -> tuple[str, ...]:
-    """A sentence on joints that are numbered, since nobody says whose numbers these are."""
-    columns = found[Kind.POSITION]
-    if given.columns.joints or any(plain(c.joint) in c.header.text.lower() for c in columns):
+    """A sentence on joints that are numbered, where nobody says whose numbers these are."""
+    numbered = [
+        columns
+        for columns in found.values()
+        if not given.columns.joints
+        and any(plain(each.joint) not in plain(each.header.text) for each in columns)
+    ]
+    if not numbered:
         return ()
-    first, last = columns[0], columns[-1]
-    joints = ", ".join(column.joint for column in columns)
-    return (f"{first.header.text} .. {last.header.text} were read as {joints}, the robot's order.",)
+    which = ", ".join(f"{each[0].header.text} .. {each[-1].header.text}" for each in numbered)
+    joints = ", ".join(column.joint for column in numbered[0])
+    return (f"{which} were read as {joints}, the robot's order.",)
 
 
 # ---------------------------------------------------------------- units

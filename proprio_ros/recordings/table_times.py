@@ -17,7 +17,7 @@ from proprio_ros.records import FloatArray
 IN_SECONDS = {"s": 1, "ms": 10**3, "us": 10**6, "ns": 10**9}
 """How many of a unit make a second."""
 EARLIEST_S, LATEST_S = 10**9, 4 * 10**9
-"""Seconds since 1970 of 2001 and of 2096: a clock that shows the date stands between."""
+"""Seconds since 1970 of 2001 and of 2096: a clock that shows the date stands between, and none stands later."""
 NEAR = 2.0  # a rate by velocities is that of a unit within this factor; units are 1000 apart
 LONGEST_S = 8e9  # no time is past that, whose nanoseconds are counted in 64 bits
 
@@ -45,15 +45,12 @@ def unit_shown(
     ask = f"state it: {called} [s] or {called} [ms] in the header, or time_unit in columns.yaml"
     if all(step == PER_UNIT for step in steps):
         raise RecordingError(_counted(called), path)
+    first = abs(ticks[0]) / PER_UNIT
     possible = [
         unit
         for unit, parts in IN_SECONDS.items()
-        if SHORTEST_PERIOD_S <= period / parts <= LONGEST_PERIOD_S
+        if SHORTEST_PERIOD_S < period / parts < LONGEST_PERIOD_S and first / parts < LATEST_S
     ]
-    first = abs(ticks[0]) / PER_UNIT
-    dated = [unit for unit in possible if EARLIEST_S < first / IN_SECONDS[unit] < LATEST_S]
-    if len(dated) == 1:
-        return dated[0], f"{called} was read in {dated[0]}, in which it is a date of today."
     if len(possible) == 1:
         unit = possible[0]
         every_s = period / IN_SECONDS[unit]

@@ -376,12 +376,23 @@ def test_where_seconds_and_milliseconds_are_possible_velocities_say_it_or_it_is_
     assert any("as velocities show" in note for note in recording.notes)
 
 
+def test_a_counter_that_could_be_a_date_is_asked(tmp_path: Path) -> None:
+    """1.5e9 is a day of 2017 in seconds, and 17 days of a controller in milliseconds."""
+    found = elbow(period_ns=2_000_000)
+    times = [decimals(1_500_000_000_000_000 + 2_000_000 * row, 6) for row in range(60)]
+    headers = ["t", *(f"q{n} [rad]" for n in range(5))]
+    table = written(tmp_path / "log.csv", headers, [times, *found.position.T])
+    assert "in s or ms?" in refusal(table)
+    # as nanoseconds it would be of no year that there is
+    times = [decimals(int(time_ns), 3) for time_ns in found.times_ns]
+    recording = read(written(tmp_path / "us.csv", headers, [times, *found.position.T]))
+    np.testing.assert_array_equal(recording.joints.times_ns, found.times_ns)
+
+
 def test_a_date_says_its_unit(tmp_path: Path) -> None:
     found = elbow(period_ns=2_000_000)
-    columns = [[decimals(int(t), 6) for t in found.times_ns], *found.position.T]
     headers = ["timestamp", *(f"q{n} [rad]" for n in range(5))]
-    recording = read(written(tmp_path / "log.csv", headers, columns))
-    np.testing.assert_array_equal(recording.joints.times_ns, found.times_ns)
+    columns: list[Sequence[object]] = [[], *found.position.T]
     columns[0] = [str(np.datetime64(int(t), "ns")) + "+02:00" for t in found.times_ns]
     recording = read(written(tmp_path / "log.csv", headers, columns))
     np.testing.assert_array_equal(
@@ -432,6 +443,16 @@ def test_the_unit_of_effort_in_a_header_counts_before_the_robot_is_read(tmp_path
     assert Options(robot=str(urdf)).for_recordings([table]).effort_unit == "N.m"
     mixed = Options(robot=str(urdf)).for_recordings([table, PUSH])
     assert mixed.effort_unit is None
+
+
+def test_numbers_are_said_to_be_the_robots_order(tmp_path: Path) -> None:
+    """Of efforts, too, where positions have names."""
+    found = elbow()
+    headers = ["t [s]", *(f"{joint} [rad]" for joint in JOINTS)]
+    headers += [f"tau{n} [Nm]" for n in range(1, 6)]
+    table = written(tmp_path / "log.csv", headers, columns_of(found))
+    (note,) = (note for note in read(table).notes if "the robot's order" in note)
+    assert note.startswith("tau1 [Nm] .. tau5 [Nm] were read as joint1, joint2")
 
 
 def test_a_columns_file_says_which_column_is_what(tmp_path: Path) -> None:
