@@ -108,7 +108,8 @@ class OnlineFeed:
         self.joints = robot.motion_calibration.joints
         # whose effort counts
         self._measured = [name for name in self.joints if name not in self.stall.joints]
-        self.others = [name for name in robot.model.independent_joints if name not in self.joints]
+        idle = {*self.joints, *robot.model.beside(self.joints)}
+        self.others = [name for name in robot.model.independent_joints if name not in idle]
         self._make({})  # so that a calibration of another arm is refused now
         self._latest: dict[str, _Reading] = {}
         self._running: StandingEstimator | None = None

@@ -8,11 +8,12 @@ from pathlib import Path
 
 import numpy as np
 
-from proprio_ros.errors import RecordingError
+from proprio_ros.errors import RecordingError, some
+from proprio_ros.identification.regression.motion_equations import moving_carriers
 from proprio_ros.pipeline.request import Request
 from proprio_ros.recordings.contradictions import refuse_other_current
 from proprio_ros.recordings.for_robot import Read
-from proprio_ros.recordings.motions import Motion, motion_of
+from proprio_ros.recordings.motions import MOVED_RAD, Motion, motion_of
 from proprio_ros.recordings.pace import refuse_pace_of_joint, refuse_pace_of_runs
 from proprio_ros.recordings.published import published_robot, published_run
 from proprio_ros.recordings.runs import DrivenAtOnce, cut_runs
@@ -20,6 +21,9 @@ from proprio_ros.recordings.sources import Attempt, TextSource, open_recording, 
 from proprio_ros.recordings.text import TextRecording
 from proprio_ros.records import InputRecord, Recording, Run
 from proprio_ros.robot import Robot
+from proprio_ros.robot.hands import path_to
+
+MOVED_SLIDE_M = 0.02  # a slide that moves less stands still [m]
 
 
 @dataclass(frozen=True)
@@ -127,13 +131,36 @@ def _motion(recording: Recording, request: Request) -> Motion:
         held={**taken, **locked},
         standing=still,
     )
+    _refuse_unknown_drives(robot, motion)
     if len(turning) == 1:  # of several the regression asks the clock
         refuse_pace_of_joint(recording, turning[0])
     notes = tuple(
         f"{recording.name}: {name} was not recorded and is taken to stand at {value:g} m; --set held.{name}=VALUE states it"
         for name, value in taken.items()
     )
+    carried = moving_carriers(robot, motion, turning)
+    if carried:
+        notes += (
+            f"{recording.name}: the arm was carried about by {some(carried)}: how they moved is taken into account, and their "
+            "efforts are not used",
+        )
     return replace(motion, notes=motion.notes + notes)
+
+
+def _refuse_unknown_drives(robot: Robot, motion: Motion) -> None:
+    """Raises: RecordingError: A joint between the arm's joints and the hand moved, and nothing is known of its drive."""
+    fine = {*motion.joints, *robot.model.carriers(motion.joints)}
+    for name in path_to(robot.model, robot.payload_frame):
+        if name in fine or name not in motion.beside:
+            continue
+        slides = robot.model.joint(name).kind == "prismatic"
+        span = float(np.ptp(motion.beside[name]))
+        if span > (MOVED_SLIDE_M if slides else MOVED_RAD):
+            raise RecordingError(
+                f"{name} moved by {span:.2g} {'m' if slides else 'rad'} and moves the hand, and {robot.source.name} does not say "
+                "what drives it: add it under joints, or hold it while the others move",
+                motion.name,
+            )
 
 
 def _refuse_unmeasured(recording: Recording, unit: str | None) -> None:

@@ -77,7 +77,7 @@ class Kinematics:
 
 
 def kinematics(model: ReducedModel, position: FloatArray, velocity: FloatArray) -> Kinematics:
-    """Kinematics of a model of n revolute joints along a motion: position [rad] and velocity [rad/s], shape (T, n) each."""
+    """Kinematics of a model of n joints along a motion: position [rad or m] and velocity [rad/s or m/s], shape (T, n) each."""
     count, bodies = position.shape
     rotation = np.zeros((3, 3, bodies, count))
     origin = np.zeros((3, bodies, count))
@@ -101,10 +101,15 @@ def kinematics(model: ReducedModel, position: FloatArray, velocity: FloatArray) 
             turn,
             (0, 0),
         )
-        rotation[:, :, body] = seen[:3] + sine[body] * seen[3:6] + versine[body] * seen[6:9]
         origin[:, body] = seen[10] + (0.0 if parent < 0 else origin[:, parent])
-        axis[:3, body] = seen[9]
-        axis[3:, body] = cross_product(origin[:, body], seen[9])
+        if model.kinds[body] == "prismatic":
+            rotation[:, :, body] = seen[:3]
+            origin[:, body] += position[:, body] * seen[9]
+            axis[3:, body] = seen[9]
+        else:
+            rotation[:, :, body] = seen[:3] + sine[body] * seen[3:6] + versine[body] * seen[6:9]
+            axis[:3, body] = seen[9]
+            axis[3:, body] = cross_product(origin[:, body], seen[9])
         twist[:, body] = axis[:, body] * velocity[:, body] + (
             0.0 if parent < 0 else twist[:, parent]
         )
@@ -156,7 +161,7 @@ def gravity_along(model: ReducedModel, motion: Kinematics, body: int) -> FloatAr
 def gravity_torques(model: ReducedModel, position: FloatArray) -> FloatArray:
     """Torque that holds every joint at rest, per unit of every body's parameters.
 
-    ``model``: the arm, n revolute joints; ``position``: of them [rad], shape (T, n).
+    ``model``: the arm, n joints; ``position``: of them [rad or m], shape (T, n).
 
     Returns: Shape (T, n, n, 10): pose, joint, body, parameter [N m per unit].
     """

@@ -218,6 +218,24 @@ class RobotModel:
         at = 0.0 if beside and unknown else self._position(joint, positions)
         return joint.transform(at)
 
+    def carriers(self, joints: Sequence[str]) -> tuple[str, ...]:
+        """The joints on which all of some joints stand, as those of a torso, from the base on; none that follows or is followed."""
+        followed = {self.driving(joint)[0] for joint in self.joints if joint.mimic is not None}
+        carrying = [self._carrying([name]) - {name} for name in joints]
+        common = set.intersection(*carrying) - followed if carrying else set()
+        return tuple(name for name in self.independent_joints if name in common - {*joints})
+
+    def beside(self, joints: Sequence[str]) -> set[str]:
+        """The joints that neither carry some joints nor are carried by them, as of a head: where they stand changes nothing."""
+        carrying = self._carrying(joints)
+        behind = set(joints)
+        links = {self.joint(name).child for name in joints}
+        for joint in self.joints:
+            if joint.parent in links:
+                links.add(joint.child)
+                behind.add(joint.name)
+        return {*self.independent_joints} - carrying - behind
+
     def _carrying(self, joints: Sequence[str]) -> set[str]:
         """The joints on which some joints stand, and these."""
         carrying = set()

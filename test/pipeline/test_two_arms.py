@@ -5,14 +5,23 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
-from support.two_arms import SIDES, TwoArms, write_urdf
+from support.two_arms import ARM, MIDDLE, SIDES, TORSO, TwoArms, write_urdf
 
 from proprio_ros.cli import main
+from proprio_ros.errors import RecordingError
+from proprio_ros.identification.regression.at_rest import check_carriers
+from proprio_ros.pipeline.replay import replay
+from proprio_ros.pipeline.request import Options
+from proprio_ros.recordings.motions import Motion
+from proprio_ros.robot import load_robot
 
 pytest.importorskip("mujoco")
 HELD_KG = {"left": 0.7, "right": 0.35}
+CONSTANTS = {f"joints.left_{name}.motor.nominal_torque_constant_N_m_per_A": 1.0 for name in ARM}
 STOOD = {"torso_lift_joint": 0.1, "torso_pitch_joint": 0.2, "torso_yaw_joint": -0.3}
+SWINGS = {"torso_lift_joint": 0.05, "torso_pitch_joint": 0.1, "torso_yaw_joint": 0.2}
 STANDS = {"torso_lift_joint": 0.3, "torso_pitch_joint": 0.35, "torso_yaw_joint": 0.3}
 
 
@@ -45,3 +54,67 @@ def test_three_commands_weigh_what_either_hand_holds(
     mass = json.loads(capsys.readouterr().out)["estimates"][0]
     low, high = mass["ci95"]
     assert low < HELD_KG[side] < high and high - low < 0.5 * HELD_KG[side], mass
+
+
+def test_a_torso_that_moves_meanwhile_carries_the_arm(recorded: Path) -> None:
+    """It was taken to stand in its middle, and what it did to the arm was explained by nothing."""
+    TwoArms(2).record(recorded / "carried", "left", HELD_KG["left"], STANDS, SWINGS)
+    TwoArms(2).record(recorded / "stood", "left", 0.0, STOOD)
+    asked = Options(
+        robot=str(recorded / "two_arms.urdf"),
+        settings={"robot.tip": "left_tool0"},
+        effort_unit="N.m",
+        baseline=[recorded / "stood"],
+    )
+    answer = replay([recorded / "carried"], asked)
+    mass = answer.values[0]
+    assert answer.verdict.value == "accepted", answer.reasons
+    assert mass.ci95[0] < HELD_KG["left"] < mass.ci95[1]
+    assert any(
+        "carried about by torso_lift_joint, torso_pitch_joint" in note for note in answer.notes
+    )
+
+
+def still(name: str, **beside: np.ndarray) -> Motion:
+    """An arm that stands, and what moved beside it."""
+    count = len(next(iter(beside.values())))
+    table = np.tile(MIDDLE, (count, 1))
+    held = {joint: float(at.mean()) for joint, at in beside.items()}
+    joints = tuple(f"left_{joint}" for joint in ARM)
+    times_s = np.linspace(0.0, 4.0, count)
+    return Motion(name, joints, times_s, table, table, held, "measured current", beside=beside)
+
+
+def test_an_arm_that_stands_is_not_weighed_on_a_torso_that_bends(recorded: Path) -> None:
+    """Gravity pulls from elsewhere then; a torso that turns about the vertical, or is lifted, changes nothing."""
+    robot = load_robot(recorded / "two_arms.urdf", {"tip": "left_tool0", **CONSTANTS})
+    joints = [f"left_{joint}" for joint in ARM]
+    rest = np.zeros(50)
+    sweep = np.linspace(0.0, 0.3, 50)
+
+    def torso(lift: np.ndarray, pitch: np.ndarray, yaw: np.ndarray) -> dict[str, np.ndarray]:
+        return dict(zip(TORSO, (lift, pitch, yaw), strict=True))
+
+    check_carriers(robot, [still("a", **torso(sweep, rest, sweep))], joints)
+    with pytest.raises(RecordingError, match=r"leant over by 0\.3 rad"):
+        check_carriers(robot, [still("a", **torso(rest, sweep, rest))], joints)
+    bent = [still("a", **torso(rest, rest, rest)), still("b", **torso(rest, rest + 0.1, rest))]
+    with pytest.raises(RecordingError, match="between which they moved apart"):
+        check_carriers(robot, bent, joints)
+
+
+def test_a_joint_of_the_arm_that_moves_and_is_not_stated_is_refused(recorded: Path) -> None:
+    """It was taken to stand in the middle of its way."""
+    path = recorded / "without.yaml"
+    stated = "\n".join(
+        f"  left_{joint}: {{motor: {{nominal_torque_constant_N_m_per_A: 1}}}}" for joint in ARM if joint != ARM[3]
+    )  # fmt: skip
+    path.write_text(
+        f"name: without\nurdf: two_arms.urdf\ntip: left_tool0\npayload_frame: left_tool0\njoints:\n{stated}\n"
+    )
+    asked = Options(robot=str(path), effort_unit="N.m")
+    with pytest.raises(
+        RecordingError,
+        match=r"left_arm_4_joint moved by .* rad and moves the hand, and without\.yaml",
+    ):
+        replay([recorded / "left_loaded"], asked)

@@ -134,3 +134,17 @@ def test_what_stands_beside_the_arm_may_be_anywhere(two_arms: Path) -> None:
     for name in needed:
         with pytest.raises(RobotError, match=f"no position of joint '{name}'"):
             model.lock(LEFT, {key: at for key, at in needed.items() if key != name})
+
+
+def test_what_carries_an_arm_and_what_is_beside_it(two_arms: Path) -> None:
+    model = read_model(str(two_arms))
+    assert model.carriers(LEFT) == TORSO, "all of the arm stands on these"
+    assert model.carriers(LEFT[1:]) == (*TORSO, LEFT[0])
+    assert model.carriers([*LEFT, "right_arm_1_joint"]) == TORSO
+    beside = model.beside(LEFT)
+    assert {*HEAD, *WHEELS, "right_arm_1_joint", "right_finger_joint"} <= beside
+    assert not beside & {*TORSO, *LEFT, "left_finger_joint"}
+    follower = joint("follower", "two", "top", mimic='<mimic joint="one"/>')
+    lift = [joint("one", "base", "two", kind="prismatic"), follower]
+    model = model_of(*lift, *limb("arm", "top", 4))
+    assert model.carriers(["arm_1"]) == ("arm_0",), "no lift of two stages"

@@ -31,10 +31,12 @@ ARM_LINKS = (
     ("0 1 0", "0 0 -0.11", 0.5, "0 0.01 -0.02", 0.06),
     ("1 0 0", "0 0 -0.05", 0.3, "0 0 -0.03", 0.05),
 )
+EFFORT = (60, 60, 40, 40, 12, 12, 8)  # its motors can give [N m]
 FRICTION = np.array([1.5, 1.5, 1.0, 1.0, 0.4, 0.4, 0.3])  # at most, dry [N m]
 MIDDLE = np.array([-0.5, 0.4, 0.2, -1.2, 0.1, -0.3, 0.2])  # that an arm moves about [rad]
 RATE_HZ = 100.0
 STEP_S = 0.002
+SLOW_RAD_S = 0.02  # dry friction is smoothed over this
 
 
 def _link(name: str, mass: float, centre: str, size: float) -> str:
@@ -75,9 +77,12 @@ def _arm(side: str, held: float, heavier: Sequence[float]) -> list[str]:
     for number, (axis, origin, mass, centre, size) in enumerate(ARM_LINKS):
         places = {"side": 0.15 * out, "out": 0.06 * out}
         name = f"{side}_arm_{number + 1}"
+        turn = f'lower="-3" upper="3" effort="{EFFORT[number]}" velocity="5"'
         parts += [
             _link(f"{name}_link", mass * heavier[number], centre.format(**places), size),
-            _joint(f"{name}_joint", parent, f"{name}_link", origin.format(**places), axis),
+            _joint(
+                f"{name}_joint", parent, f"{name}_link", origin.format(**places), axis, limit=turn
+            ),
         ]
         parent = f"{name}_link"
     slide = 'lower="0" upper="0.04" effort="20" velocity="0.2"'
@@ -160,7 +165,7 @@ class TwoArms:
         held_kg: float,
         torso: Mapping[str, float] | None = None,
         swings: Mapping[str, float] | None = None,
-        seconds: float = 30.0,
+        seconds: float = 16.0,
     ) -> None:
         """Write a bag in which one arm moves, its hand empty or not, and wheels and head turn.
 
@@ -188,14 +193,13 @@ class TwoArms:
             for number in range(model.njnt)
         ]
         arm = [names.index(f"{moving}_{joint}") for joint in ARM]
-        model.opt.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
         model.dof_armature[:] = 0.05
+        friction = np.zeros((2, len(names)))  # dry and viscous
         for side in SIDES:
             columns = [names.index(f"{side}_{joint}") for joint in ARM]
-            model.dof_frictionloss[columns] = self.dry[side]
-            model.dof_damping[columns] = self.viscous
+            friction[:, columns] = self.dry[side], self.viscous
         wanted = self._wanted(names, arm, torso or {}, swings or {}, seconds)
-        rows = self._simulated(mujoco, model, data, wanted)
+        rows = self._simulated(mujoco, model, data, wanted, friction)
         self._write(path, names, rows, arm)
 
     def _wanted(
@@ -239,6 +243,7 @@ class TwoArms:
         model: Any,
         data: Any,
         wanted: np.ndarray,
+        friction: np.ndarray,
     ) -> list[tuple[float, np.ndarray, np.ndarray, np.ndarray]]:
         """Time [s], positions, velocities and the motors' efforts of every sample."""
         full = np.zeros((model.nv, model.nv))
@@ -252,8 +257,11 @@ class TwoArms:
             inertia_matrix(model, data, full)
             measured = data.qpos + 1e-4 * self.rng.standard_normal(model.nq)
             asked = acceleration + 225.0 * (position - measured) + 30.0 * (velocity - data.qvel)
-            effort = full @ asked + data.qfrc_bias - data.qfrc_passive
-            data.qfrc_applied[:] = effort
+            dry, viscous = friction
+            effort = full @ asked + data.qfrc_bias + viscous * velocity
+            data.qfrc_applied[:] = (
+                effort - viscous * data.qvel - dry * np.tanh(data.qvel / SLOW_RAD_S)
+            )
             if step * STEP_S >= 1.0 and step % every == 0:
                 rows.append(
                     (step * STEP_S, data.qpos.copy(), data.qvel.copy(), effort.copy()),

@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 
 from proprio_ros.calibration_files.motions import MotionCalibration
-from proprio_ros.errors import TooLittleMotion
+from proprio_ros.errors import RecordingError, TooLittleMotion
 from proprio_ros.identification.gates import chi2_limit
 from proprio_ros.identification.regression.arm_terms import ArmTerms
 from proprio_ros.identification.regression.error_budget import CALIBRATION, CONSTANTS
@@ -65,6 +65,9 @@ SETTLED_KG = 1e-6  # What the mass changes by in a round that is the last.
 STANCE_S = 0.2  # So often it is asked what an arm holds that stands.
 # And so far from what it held on its way something was put in or taken out.
 CHANGED_SIGMAS = 2.0
+LEANT_RAD = 0.02
+"""What carries the arm may lean over by so much and stand: 2 % of gravity's torque [rad]."""
+LOOKS = 20  # places along a recording where that is looked at
 
 
 def _still_band(robot: Robot, joints: Sequence[str]) -> FloatArray:
@@ -223,6 +226,7 @@ def fit_at_rest(
     """
     check_arm(robot, motions, calibration)
     motions = [motion.complete() for motion in motions]
+    check_carriers(robot, motions, calibration.joints)
     arm = Arm.of(
         robot,
         calibration.joints,
@@ -255,6 +259,36 @@ def fit_at_rest(
         finer,
         beside=(coarser.mass_kg, coarser.std_kg),
     )
+
+
+def check_carriers(robot: Robot, motions: Sequence[Motion], joints: Sequence[str]) -> None:
+    """Refuse motions in which what carries the arm, as a torso, leans over: gravity then pulls from elsewhere.
+
+    Args:
+        robot: Its geometry.
+        motions: Weighed together.
+        joints: Of the arm.
+
+    Raises:
+        RecordingError: It does.
+    """
+    names = robot.model.carriers(joints)
+    base = robot.model.joint(joints[0]).parent
+    down = []
+    for motion in motions:
+        if not {*names} <= {*motion.beside}:
+            return
+        rows = np.linspace(0, len(motion.times_s) - 1, LOOKS).astype(int)
+        for row in rows:
+            pose = {**motion.held, **{name: float(motion.beside[name][row]) for name in names}}
+            down.append(robot.gravity @ robot.model.frame_transform(base, pose)[:3, :3])
+    away = np.linalg.norm(np.array(down) - down[0], axis=1).max() / np.linalg.norm(robot.gravity)
+    if names and away > LEANT_RAD:
+        raise RecordingError(
+            f"{', '.join(names)} carried the arm and leant over by {away:.2g} rad: an arm that hardly moves is weighed where they "
+            "stand; hold them, and weigh recordings between which they moved apart",
+            motions[0].name,
+        )
 
 
 def _in_motion(

@@ -43,6 +43,8 @@ STRETCH_S = 2.5
 MIN_STRETCHES = 4
 # Of a difference quotient: a torque is nearly linear over it, and its digits are not lost.
 ZERO_STEP_RAD = 1e-3
+CARRIER_MOVED = 0.004
+"""A torso that moves less stands still: three counts of a coarse encoder, and less than 1 % of gravity's torque [rad or m]."""
 LEAST_WINDOWS = round(STRETCH_S / (WINDOW_S * HOP_SHARE))
 """A joint that moves in fewer windows of all motions, less than one stretch, leaves no residual that could weigh it."""
 RUNS_OF_ITS_OWN = 10_000  # stretches that one run has at most: labels of the next run's start there
@@ -59,6 +61,8 @@ class Samples:
     position: FloatArray  # [rad], shape (T, n)
     velocity: FloatArray  # [rad/s], shape (T, n)
     torque: FloatArray  # of the motors [N m], shape (T, n)
+    # of what carries the arm and moves, too: positions and velocities in SI units, shape (2, T, c); None: nothing does
+    carriers: FloatArray | None = None
 
 
 @dataclass(frozen=True)
@@ -70,6 +74,8 @@ class Arm:
     # that body's parameters per unit of the payload's in the payload's frame, shape (10, 10)
     from_payload: FloatArray
     reach_m: float  # from the base to the hand along the links
+    # its joints behind those that carry it and move meanwhile, c of them; the model itself where none does
+    carried: ReducedModel
 
     @classmethod
     def of(
@@ -77,10 +83,15 @@ class Arm:
         robot: Robot,
         joints: Sequence[str],
         locked: dict[str, float],
+        carriers: Sequence[str] = (),
     ) -> Arm:
         """The arm with its other joints locked.
 
-        ``robot``: its geometry; ``joints``: that move; ``locked``: positions of the others [rad or m].
+        Args:
+            robot: Its geometry.
+            joints: That move.
+            locked: Positions of the others [rad or m].
+            carriers: Those of the others that carry it and do move: their efforts count for nothing.
 
         Raises `RobotError`: No joint moves the hand.
         """
@@ -94,7 +105,15 @@ class Arm:
             from_payload.append(body_parameters(turned))
         links = sum(np.linalg.norm(place[:3, 3]) for place in model.placement)
         reach_m = float(links + np.linalg.norm(body_from_payload[:3, 3]))
-        return cls(model, body, np.column_stack(from_payload), reach_m)
+        carried = model
+        if carriers:
+            carried = robot.model.lock([*carriers, *joints], locked, robot.gravity)
+        return cls(model, body, np.column_stack(from_payload), reach_m, carried)
+
+    @property
+    def carriers(self) -> tuple[str, ...]:
+        """What carries it and moves, too."""
+        return self.carried.joint_names[: -self.count]
 
     @property
     def count(self) -> int:
@@ -143,6 +162,9 @@ class Arm:
             still = replace(
                 samples,
                 velocity=np.zeros_like(samples.velocity),
+                carriers=None
+                if samples.carriers is None
+                else samples.carriers * np.array([1.0, 0.0])[:, None, None],
             )
             of_gravity = self._torques(still, window, joint)
         return Rows(
@@ -167,15 +189,21 @@ class Arm:
         """Mean torque of E windows and joints per unit of the bodies' parameters, from one body on, shape (E, n, 10)."""
         if not len(joint):
             return np.zeros((0, self.count, PARAMETERS))
+        position = samples.position
+        velocity = samples.velocity
+        before = len(self.carriers)
+        if samples.carriers is not None:
+            position = np.hstack([samples.carriers[0], position])
+            velocity = np.hstack([samples.carriers[1], velocity])
         of_all = torque_regressor(
-            self.model,
-            samples.position,
-            samples.velocity,
+            self.carried,
+            position,
+            velocity,
             samples.windows,
             samples.period_s,
-            since,
+            before + since,
         )
-        return of_all[window, joint]
+        return of_all[:, before:, before:][window, joint]
 
     def _by_zeros(
         self,
@@ -251,25 +279,28 @@ def _of_motion(
     by_zeros: bool,
 ) -> Rows:
     """The rows of one motion by motors of these torque constants [N m/A], shape (n,)."""
-    times_s, position, current = evenly(motion, arm.model.joint_names, BANDWIDTH_HZ)
+    names = arm.model.joint_names
+    before = len(arm.carriers)
+    times_s, position, current = evenly(motion, arm.carried.joint_names, BANDWIDTH_HZ)
     period_s = float(times_s[1] - times_s[0])
     velocity = np.gradient(position, period_s, axis=0)
+    carriers = np.stack([position[:, :before], velocity[:, :before]]) if before else None
     width = round(WINDOW_S / period_s)
     windows = Windows.over(
         len(times_s),
         width,
         max(1, round(HOP_SHARE * width)),
     )
-    names = arm.model.joint_names
     gaps = across_gaps(motion, names, times_s, windows)
     counts = np.isin(names, motion.moved)[None, :] & ~gaps
     samples = Samples(
         windows,
         times_s,
         period_s,
-        position,
-        velocity,
-        current * constants,
+        position[:, before:],
+        velocity[:, before:],
+        current[:, before:] * constants,
+        carriers,
     )
     return arm.rows(samples, counts, by_zeros=by_zeros)
 
@@ -296,7 +327,8 @@ def _made_once(
         constants,
     )
     of_motion = (motion.joints, motion.moved, motion.times_s, motion.position, motion.current_A)
-    key = hashlib.sha256(pickle.dumps((by_zeros, of_arm, of_motion))).digest()
+    of_carriers = [(name, motion.beside[name]) for name in arm.carriers]
+    key = hashlib.sha256(pickle.dumps((by_zeros, of_arm, of_motion, of_carriers))).digest()
     if key not in made:
         made[key] = _of_motion(arm, motion, constants, by_zeros)
     return made[key]
@@ -403,7 +435,7 @@ def equations(
 
     Raises `RecordingError`: It is too short, or too fast for its rate.
     """
-    arm = Arm.of(robot, joints, dict(motion.held))
+    arm = Arm.of(robot, joints, dict(motion.held), moving_carriers(robot, motion, joints))
     drives = [robot.drive_trains[name] for name in arm.model.joint_names]
     constants = np.array([drive.torque_constant.value for drive in drives])
     rows = _made_once(arm, motion, constants, by_zeros)
@@ -412,6 +444,22 @@ def equations(
             f"{motion.name}: no joint moves for long enough without a pause or a gap"
         )
     return rows if centre_m is None else rows.with_mass_at(centre_m)
+
+
+def moving_carriers(
+    robot: Robot,
+    motion: Motion,
+    joints: Sequence[str],
+) -> tuple[str, ...]:
+    """Joints that carry an arm and moved meanwhile, as those of a torso: their positions count, whoever drives them.
+
+    Args:
+        robot: Its geometry.
+        motion: Of the arm.
+        joints: Of the arm.
+    """
+    moved = (name for name in robot.model.carriers(joints) if name in motion.beside)
+    return tuple(name for name in moved if np.ptp(motion.beside[name]) > CARRIER_MOVED)
 
 
 def fill_drives(

@@ -114,9 +114,9 @@ def torque_regressor(
     """Mean torque at every joint over every window, per unit of every body's parameters.
 
     Args:
-        model: The arm, n revolute joints.
-        position: Equally spaced samples [rad], shape (T, n).
-        velocity: At the same instants [rad/s], shape (T, n).
+        model: The arm, n joints.
+        position: Equally spaced samples [rad or m], shape (T, n).
+        velocity: At the same instants [rad/s or m/s], shape (T, n).
         windows: Where to look.
         period_s: Between samples [s].
         since: The first body that is asked for; others have zeros.
@@ -159,7 +159,7 @@ def evenly(
 
     Args:
         motion: At whatever instants.
-        joints: Of it, n.
+        joints: Of it, or recorded beside them: of those no current is known; n.
         bandwidth_Hz: To which positions are smoothed.
         currents_too: Whether currents are, too.
 
@@ -169,18 +169,22 @@ def evenly(
     """
     from scipy.signal import butter, filtfilt  # half of a second to import
 
-    columns = [motion.joints.index(name) for name in joints]
+    own = [motion.joints.index(name) if name in motion.joints else None for name in joints]
     period_s = float(np.median(np.diff(motion.times_s)))
     times_s = np.arange(
         motion.times_s[0],
         motion.times_s[-1] + 0.5 * period_s,
         period_s,
     )
-    position = np.column_stack(
-        [np.interp(times_s, motion.times_s, motion.position[:, column]) for column in columns]
-    )
+    recorded = [
+        motion.beside[name] if column is None else motion.position[:, column]
+        for name, column in zip(joints, own, strict=True)
+    ]
+    position = np.column_stack([np.interp(times_s, motion.times_s, each) for each in recorded])
     current = np.zeros_like(position)
-    for number, column in enumerate(columns):
+    for number, column in enumerate(own):
+        if column is None:
+            continue
         known = np.isfinite(motion.current_A[:, column])
         if known.any():
             current[:, number] = np.interp(

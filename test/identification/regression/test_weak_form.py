@@ -23,19 +23,30 @@ from proprio_ros.robot.regressor import body_parameters, kinematics
 from proprio_ros.sim.payload import PayloadFacts
 
 
-def test_the_regressor_is_mujocos_inverse_dynamics() -> None:
+def six_with(slides: tuple[str, ...]) -> str:
+    """The arm with some of its joints as slides."""
+    text = urdf(*nominal())
+    for name in slides:
+        text = text.replace(f'name="{name}" type="revolute"', f'name="{name}" type="prismatic"')
+    return text
+
+
+SLIDES = pytest.mark.parametrize("slides", [(), ("j1", "j4"), SIX.joints], ids=len)
+
+
+@SLIDES
+def test_the_regressor_is_mujocos_inverse_dynamics(slides: tuple[str, ...]) -> None:
     """Windowed torque of known bodies: only the quadrature of the windows lies between the two."""
     import mujoco
 
-    masses, coms, inertias = nominal()
-    model = RobotModel.from_urdf_string(urdf(masses, coms, inertias)).lock(
+    model = RobotModel.from_urdf_string(six_with(slides)).lock(
         list(SIX.joints),
         {},
     )
     period_s = 1e-3
     times_s = np.arange(0.0, 2.0, period_s)
     position, velocity, acceleration = sines(times_s)
-    independent = mujoco.MjModel.from_xml_string(urdf(masses, coms, inertias))
+    independent = mujoco.MjModel.from_xml_string(six_with(slides))
     data = mujoco.MjData(independent)
     torque = np.zeros_like(position)
     for row in range(len(times_s)):
@@ -55,8 +66,9 @@ def test_the_regressor_is_mujocos_inverse_dynamics() -> None:
     )
 
 
-def test_twists_are_the_derivatives_of_where_the_bodies_are() -> None:
-    model = RobotModel.from_urdf_string(urdf(*nominal())).lock(
+@SLIDES
+def test_twists_are_the_derivatives_of_where_the_bodies_are(slides: tuple[str, ...]) -> None:
+    model = RobotModel.from_urdf_string(six_with(slides)).lock(
         list(SIX.joints),
         {},
     )
