@@ -29,7 +29,11 @@ class Mistake:
         )
 
 
-def of_joint(name: str, quantity: str, needs: str) -> Iterator[Mistake]:
+def of_joint(
+    name: str,
+    quantity: str,
+    needs: str,
+) -> Iterator[Mistake]:
     """Those of a joint called ``name``, whose torque was recorded as a ``quantity``; ``needs`` stands after "times what"."""
     turned = f"the {quantity} or the angle of {name} has the sign of an axis that is turned round in the URDF"
     yield from (Mistake(turned, *signs) for signs in ((-1.0, 1.0), (1.0, -1.0), (-1.0, -1.0)))

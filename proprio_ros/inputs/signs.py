@@ -10,6 +10,11 @@ from proprio_ros.inputs.forms import Form, FormError, Text, shortly
 from proprio_ros.inputs.reading import finite
 
 _JOINT = Text(what="the name of a joint")
+_WRITTEN = {
+    "1": 1.0,
+    "+1": 1.0,
+    "-1": -1.0,
+}
 
 
 @dataclass(frozen=True)
@@ -29,16 +34,22 @@ class Signs:
         """These, and for joints of which they say nothing the others."""
         if self.every is not None:
             return self
-        return Signs(other.every, {**other.joints, **self.joints})
+        return Signs(
+            other.every,
+            {**other.joints, **self.joints},
+        )
 
     def turned(self, joints: Iterable[str]) -> tuple[str, ...]:
         """Those of some joints whose effort is turned round."""
-        return tuple(joint for joint in joints if self.of(joint) < 0)
+        found = (joint for joint in joints if self.of(joint) < 0)
+        return tuple(found)
 
     def __str__(self) -> str:
         """As the command line takes them."""
         by_joint = [f"{joint}={sign}" for joint, sign in self.joints.items()]
-        return ",".join(by_joint if self.every is None else [str(self.every), *by_joint])
+        if self.every is not None:
+            by_joint.insert(0, str(self.every))
+        return ",".join(by_joint)
 
 
 @dataclass(frozen=True)
@@ -47,19 +58,21 @@ class SignForm(Form):
 
     def read(self, value: Any) -> Signs:
         if isinstance(value, Mapping):
-            return Signs(None, {_JOINT.read(joint): _sign(sign) for joint, sign in value.items()})
+            joints = {_JOINT.read(joint): _sign(sign) for joint, sign in value.items()}
+            return Signs(None, joints)
         if not isinstance(value, str):
             return Signs(_sign(value))
         every = None
         joints = {}
         for part in value.split(","):
-            joint, equals, sign = part.rpartition("=")
+            name, equals, sign = part.rpartition("=")
+            joint = name.strip()
             if not equals:
                 every = _sign(sign)
-            elif joint.strip() in joints:
-                raise FormError(f"{shortly(joint.strip())} is given twice")
+            elif joint in joints:
+                raise FormError(f"{shortly(joint)} is given twice")
             else:
-                joints[_JOINT.read(joint.strip())] = _sign(sign)
+                joints[_JOINT.read(joint)] = _sign(sign)
         return Signs(every, joints)
 
     def described(self) -> str:
@@ -67,8 +80,10 @@ class SignForm(Form):
 
 
 def _sign(value: Any) -> int:
-    text = value.strip() if isinstance(value, str) else value
-    number = {"1": 1, "+1": 1, "-1": -1}.get(text) if isinstance(text, str) else finite(text)
+    stated = value
+    if isinstance(value, str):
+        stated = _WRITTEN.get(value.strip())
+    number = finite(stated)
     if number not in (1, -1):
         raise FormError(f"expected 1 or -1, for all joints or as JOINT=-1, got {shortly(value)}")
     return int(number)

@@ -62,7 +62,8 @@ DOUBTFUL_EFFORT = (*UNUSABLE_EFFORT, "effort_without_sign")
 
 @one_blas_thread
 def check_bags(
-    paths: str | Path | Sequence[str | Path], options: Options | None = None
+    paths: str | Path | Sequence[str | Path],
+    options: Options | None = None,
 ) -> tuple[str, list[BagCheck]]:
     """Look into bags or text recordings without fitting anything: the robot's name, and one entry per bag.
 
@@ -133,7 +134,11 @@ def _bag_check(request: Request, path: Path) -> BagCheck:
     return _shown(request, looked, looked.recording, types, check)
 
 
-def _looked_into(source: RecordingSource, request: Request, contents: Contents) -> _Looked:
+def _looked_into(
+    source: RecordingSource,
+    request: Request,
+    contents: Contents,
+) -> _Looked:
     """What an open source holds, as far as it can be read."""
     looked = _Looked()
     try:
@@ -245,7 +250,9 @@ def _findings(
 
 
 def _without_unusable(
-    looked: _Looked, inputs: InputRecord | None, seen: Sequence[Finding]
+    looked: _Looked,
+    inputs: InputRecord | None,
+    seen: Sequence[Finding],
 ) -> _Looked:
     """The same without a motion of whose measured effort no torque can be made; runs of such an effort have a problem."""
     if inputs is not None and not inputs.measured and not inputs.computed:
@@ -277,10 +284,12 @@ def _refuse_motion(robot: Robot, motion: Motion) -> None:
 
 
 def _contradicted(
-    request: Request, motion: Motion | None, units: Sequence[EffortUnit]
+    request: Request,
+    motion: Motion | None,
+    units: Sequence[EffortUnit],
 ) -> tuple[Finding, ...]:
     """The one mistake that explains the torques of a motion which are not those that gravity needs by the URDF."""
-    if motion is None or len(motion.joints) < 2:
+    if motion is None or len(motion.joints) < 2 or request.unit is None:
         return ()
     if any(each.plausible and each.unit == request.unit for each in units):
         return ()

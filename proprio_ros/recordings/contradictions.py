@@ -88,7 +88,10 @@ def pace_of_stamps(columns: JointColumns) -> tuple[float, bool] | None:
     return -slope / (1.0 + slope), abs(float(np.median(late_s))) < OTHER_CLOCK_S
 
 
-def refuse_pace(noted: Noted, columns: JointColumns) -> tuple[str, ...]:
+def refuse_pace(
+    noted: Noted,
+    columns: JointColumns,
+) -> tuple[str, ...]:
     """Look at header stamps of a topic beside the times of their recording.
 
     Returns: A note where the stamps are of another clock, which runs at another pace.
@@ -152,7 +155,9 @@ class Gain:
 
 
 def refuse_other_current(
-    recording: Recording, effort: Effort, usable_velocity: Mapping[str, float]
+    recording: Recording,
+    effort: Effort,
+    usable_velocity: Mapping[str, float],
 ) -> dict[str, Quantity]:
     """Look at commanded currents beside measured efforts, joint by joint, by their means over each push.
 
@@ -195,7 +200,11 @@ def refuse_other_current(
     return delivered
 
 
-def _units(effort: Effort, recording: Recording, own: bool) -> set[str]:
+def _units(
+    effort: Effort,
+    recording: Recording,
+    own: bool,
+) -> set[str]:
     """In which an effort may be, beside what was commanded.
 
     Our driver publishes torque. An effort in A, which is 1.8 times as much, is taken beside its commands only where it is stated:

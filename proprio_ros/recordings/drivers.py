@@ -308,7 +308,9 @@ def _located(name: str, folder: Path) -> Path:
 
 
 def _settings(
-    name: str, folder: Path, above: tuple[str, ...]
+    name: str,
+    folder: Path,
+    above: tuple[str, ...],
 ) -> tuple[dict[str, Any], tuple[str, ...]]:
     """Keys and values of a profile and of those that it extends, and the names of the latter."""
     if len(above) == DEEPEST:

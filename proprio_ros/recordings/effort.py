@@ -16,7 +16,10 @@ EFFORT_UNITS = tuple(EFFORTS)
 CURRENT_PER_COUNT_A = COUNT.in_si
 
 
-def ampere(unit: str, per_count_A: float = CURRENT_PER_COUNT_A) -> float:
+def ampere(
+    unit: str,
+    per_count_A: float = CURRENT_PER_COUNT_A,
+) -> float:
     """Ampere of one of a unit of current, one of `EFFORTS`; a count has the size that its driver says."""
     current = EFFORTS[unit]
     assert current.si == "A", unit
@@ -48,7 +51,9 @@ def known_or_none(values: FloatArray) -> FloatArray | None:
 
 
 def effort_sign_option(
-    joints: Sequence[str], wrong: Collection[str], turned: Collection[str]
+    joints: Sequence[str],
+    wrong: Collection[str],
+    turned: Collection[str],
 ) -> str:
     """The option with which the efforts of some joints count the other way than they did.
 
@@ -107,7 +112,10 @@ class Effort:
         Returns:
             The joint states.
         """
-        signs = np.array([self.signs.of(name) for name in names], dtype=np.float64)  # (J,)
+        signs = np.array(
+            [self.signs.of(name) for name in names],
+            dtype=np.float64,
+        )  # (J,)
         reported = known_or_none(signs * recorded)
         effort = current = None
         if reported is not None and self.unit == "N.m":

@@ -35,7 +35,10 @@ class EffortUnit:
     as_json = asdict
 
 
-def gravity_torque(model: ReducedModel, position: FloatArray) -> FloatArray:
+def gravity_torque(
+    model: ReducedModel,
+    position: FloatArray,
+) -> FloatArray:
     """Torque at each revolute joint that holds the arm at positions [rad]; both of shape (T, n) [N m]."""
     motion = kinematics(model, position, np.zeros_like(position))
     torque = np.zeros_like(position)
@@ -100,7 +103,10 @@ def _means(recording: Recording, robot: Robot) -> _Means | None:
     )
 
 
-def effort_per_torque(recording: Recording, robot: Robot) -> dict[str, float]:
+def effort_per_torque(
+    recording: Recording,
+    robot: Robot,
+) -> dict[str, float]:
     """Effort per N m that gravity needs, of every joint that moves enough against it, in the publisher's unit.
 
     Friction of either direction, inertia and an offset are fitted beside it, on means over `SMOOTHED_S`.
@@ -135,7 +141,10 @@ def effort_per_torque(recording: Recording, robot: Robot) -> dict[str, float]:
     return found
 
 
-def _share_of_first(matrix: FloatArray, seen: FloatArray) -> float | None:
+def _share_of_first(
+    matrix: FloatArray,
+    seen: FloatArray,
+) -> float | None:
     """Coefficient of the first column in a fit of what was seen; None where it is not sure.
 
     Args:
@@ -165,7 +174,9 @@ def _share_of_first(matrix: FloatArray, seen: FloatArray) -> float | None:
 
 
 def effort_units(
-    per_torque: Mapping[str, float], constants: Mapping[str, float], per_count_A: float
+    per_torque: Mapping[str, float],
+    constants: Mapping[str, float],
+    per_count_A: float,
 ) -> tuple[EffortUnit, ...]:
     """How plausible each unit is that effort may be in.
 
@@ -194,7 +205,9 @@ def effort_units(
 
 
 def plausible_units(
-    recording: Recording, robot: Robot, without: Collection[str] = ()
+    recording: Recording,
+    robot: Robot,
+    without: Collection[str] = (),
 ) -> tuple[dict[str, float], tuple[EffortUnit, ...]]:
     """How the effort compares with what gravity needs, in whatever unit it may be.
 

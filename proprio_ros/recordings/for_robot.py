@@ -71,14 +71,18 @@ Step = Callable[[Recording, RecordingSource, RobotReading], Recording]
 
 
 def _of_this_robot(
-    recording: Recording, source: RecordingSource, reading: RobotReading
+    recording: Recording,
+    source: RecordingSource,
+    reading: RobotReading,
 ) -> Recording:
     refuse_prefix(source.path, recording.joints.names, reading.options.joint_order)
     return without_jumps(recording, reading.options.joint_order)
 
 
 def _with_stall_currents(
-    recording: Recording, source: RecordingSource, reading: RobotReading
+    recording: Recording,
+    source: RecordingSource,
+    reading: RobotReading,
 ) -> Recording:
     if not voltage_driven(reading.robot):
         return recording
@@ -88,12 +92,18 @@ def _with_stall_currents(
     return with_stall_currents(recording, reading.robot)
 
 
-def _named(recording: Recording, source: RecordingSource, reading: RobotReading) -> Recording:
+def _named(
+    recording: Recording,
+    source: RecordingSource,
+    reading: RobotReading,
+) -> Recording:
     return replace(recording, name=source.name or recording.name)
 
 
 def _of_these_motors(
-    recording: Recording, source: RecordingSource, reading: RobotReading
+    recording: Recording,
+    source: RecordingSource,
+    reading: RobotReading,
 ) -> Recording:
     notes = motors_notes(source, reading.robot, reading.options.state_topic)
     return replace(recording, notes=recording.notes + notes)
@@ -134,7 +144,9 @@ def motors_notes(
 
 
 def _with_turned_efforts_noted(
-    recording: Recording, source: RecordingSource, reading: RobotReading
+    recording: Recording,
+    source: RecordingSource,
+    reading: RobotReading,
 ) -> Recording:
     """A note where efforts count the other way round than they were recorded."""
     record = recording.joints
@@ -150,7 +162,9 @@ def _with_turned_efforts_noted(
 
 
 def _in_a_plausible_unit(
-    recording: Recording, source: RecordingSource, reading: RobotReading
+    recording: Recording,
+    source: RecordingSource,
+    reading: RobotReading,
 ) -> Recording:
     """A note where the effort is far from what gravity needs in the unit of the driver's profile."""
     driver = reading.driver
@@ -177,7 +191,9 @@ def _in_a_plausible_unit(
 
 
 def _of_known_torque(
-    recording: Recording, source: RecordingSource, reading: RobotReading
+    recording: Recording,
+    source: RecordingSource,
+    reading: RobotReading,
 ) -> Recording:
     """Raises `RecordingError`: Currents were commanded, and a URDF alone states no torque constants."""
     file = reading.robot.source

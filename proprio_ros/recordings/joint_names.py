@@ -6,6 +6,7 @@ Where they fit in exactly one way they are the robot's, which is noted; where in
 from __future__ import annotations
 
 import re
+from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -32,29 +33,41 @@ class Way:
         return f"{theirs} as {ours}"
 
 
-def ways_of(recorded: Sequence[str], joints: Sequence[str]) -> list[Way]:
-    """The ways in which recorded names may be those of most of a robot's joints, the longest common parts first."""
-    found: dict[frozenset[tuple[str, str]], Way] = {}
-    parts = {name: list(_parts(name)) for name in (*recorded, *joints)}
-    cores: dict[str, list[tuple[str, tuple[str, str]]]] = {}
+_Around = tuple[str, str]
+"""Prefix and suffix of a name."""
+
+
+def ways_of(
+    recorded: Sequence[str],
+    joints: Sequence[str],
+) -> list[Way]:
+    """The ways in which recorded names may be those of most of a robot's joints, none of which is a part of another."""
+    ours_of: dict[str, list[tuple[str, _Around]]] = defaultdict(list)
     for joint in joints:
-        for core, around in parts[joint]:
-            cores.setdefault(core, []).append((joint, around))
-    by_way: dict[tuple[tuple[str, str], tuple[str, str]], dict[str, str]] = {}
+        for core, ours in _parts(joint):
+            ours_of[core].append((joint, ours))
+    names_by: dict[tuple[_Around, _Around], dict[str, str]] = defaultdict(dict)
     for name in recorded:
-        for core, theirs in parts[name]:
-            for joint, ours in cores.get(core, ()):
-                by_way.setdefault((theirs, ours), {})[name] = joint
-    for (theirs, ours), names in by_way.items():
+        for core, theirs in _parts(name):
+            for joint, ours in ours_of.get(core, ()):
+                names_by[theirs, ours][name] = joint
+    found: dict[frozenset[tuple[str, str]], Way] = {}
+    for (theirs, ours), names in names_by.items():
         if 2 * len(names) > len(joints):
-            found.setdefault(frozenset(names.items()), Way(theirs, ours, names))
+            pairs = frozenset(names.items())
+            found.setdefault(
+                pairs,
+                Way(theirs, ours, names),
+            )
     return [way for pairs, way in found.items() if not any(pairs < other for other in found)]
 
 
-def _parts(name: str) -> Iterator[tuple[str, tuple[str, str]]]:
-    """What may be common to a name and another one, with the prefix and the suffix around it; a number alone is no name."""
-    starts = [0, *(cut.start() for cut in _BEHIND.finditer(name))]
-    ends = [*(cut.start() for cut in _BEFORE.finditer(name)), len(name)]
+def _parts(name: str) -> Iterator[tuple[str, _Around]]:
+    """What may be common to a name and another one, with what is around it; a number alone is no name."""
+    starts = [0]
+    starts += [cut.start() for cut in _BEHIND.finditer(name)]
+    ends = [cut.start() for cut in _BEFORE.finditer(name)]
+    ends.append(len(name))
     for start in starts:
         for end in ends:
             core = name[start:end]
@@ -72,12 +85,19 @@ class Fitted:
     ]  # the robot's by the recorded ones; empty where they are as they should be
     notes: tuple[str, ...] = ()
 
-    def renamed(self, recorded: Sequence[str]) -> tuple[str, ...]:
+    def renamed(
+        self,
+        recorded: Sequence[str],
+    ) -> tuple[str, ...]:
         """The robot's names of joints."""
         return tuple(self.names.get(name, name) for name in recorded)
 
 
-def fitted_names(path: Path, recorded: Sequence[str], options: ReadOptions) -> Fitted:
+def fitted_names(
+    path: Path,
+    recorded: Sequence[str],
+    options: ReadOptions,
+) -> Fitted:
     """Take joints for the robot's whose names are those but for a prefix or a suffix.
 
     Args:
@@ -106,5 +126,8 @@ def fitted_names(path: Path, recorded: Sequence[str], options: ReadOptions) -> F
         )
     (way,) = ways
     note = f"joints have other names than the robot's; they fit in one way, and {way.words} and so on was taken"
-    conventions = options.conventions.also(way.names)
-    return Fitted(replace(options, conventions=conventions), way.names, (note,))
+    named = replace(
+        options,
+        conventions=options.conventions.also(way.names),
+    )
+    return Fitted(named, way.names, (note,))

@@ -134,7 +134,10 @@ def _still_columns(
             yield Finding(f"constant_{word}", sentence, tuple(constant), constant)
 
 
-def evenly(times_s: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
+def evenly(
+    times_s: FloatArray,
+    values: FloatArray,
+) -> tuple[FloatArray, FloatArray]:
     """Times, shape (T,), and values, shape (T, ...), at equal distances, by interpolation; between gaps the longest stretch."""
     period_s = float(np.median(np.diff(times_s)))
     cuts = [
@@ -158,7 +161,9 @@ def evenly(times_s: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatAr
 
 
 def velocity_lag_s(
-    times_s: FloatArray, position: FloatArray, velocity: FloatArray
+    times_s: FloatArray,
+    position: FloatArray,
+    velocity: FloatArray,
 ) -> tuple[float, float] | None:
     """How far a recorded velocity is behind the derivative of its position, and how many times as large it is.
 
@@ -197,7 +202,11 @@ def velocity_lag_s(
     return float((lag + shift) * period_s), float(ratio)
 
 
-def _agreement(derivative: FloatArray, reported: FloatArray, most: int) -> FloatArray:
+def _agreement(
+    derivative: FloatArray,
+    reported: FloatArray,
+    most: int,
+) -> FloatArray:
     """Correlation of two series, shape (T,) each, where the second is so many samples late, from -most to most."""
     start = 2 * most
     stop = len(derivative) - 2 * most

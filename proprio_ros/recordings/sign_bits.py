@@ -42,7 +42,10 @@ class SignBit:
     decoded: FloatArray  # the column without it [rad], shape (T,)
 
 
-def sign_bit(times_s: FloatArray, position: FloatArray) -> SignBit | None:
+def sign_bit(
+    times_s: FloatArray,
+    position: FloatArray,
+) -> SignBit | None:
     """The bit that explains the jumps of one joint's readings; None where nothing does.
 
     Args:
@@ -77,7 +80,10 @@ def hint_of(jump_rad: float) -> str:
 
 
 def _decoded(
-    bit: int, position: FloatArray, step: FloatArray, jumps: NDArray[np.int64]
+    bit: int,
+    position: FloatArray,
+    step: FloatArray,
+    jumps: NDArray[np.int64],
 ) -> SignBit | None:
     """The readings without a sign bit, where their jumps are all of its worth and gone without it."""
     worth = COUNT_RAD * 2.0**bit

@@ -28,7 +28,21 @@ def test_all_joints_or_joint_by_joint(stated: object, elbow: int, wrist: int) ->
 
 
 @pytest.mark.parametrize(
-    "stated", [0, 2, -1.5, "", "x", "elbow", "elbow=2", "a=-1,a=1", True, None, [1], {"a": "b"}]
+    "stated",
+    [
+        0,
+        2,
+        -1.5,
+        "",
+        "x",
+        "elbow",
+        "elbow=2",
+        "a=-1,a=1",
+        True,
+        None,
+        [1],
+        {"a": "b"},
+    ],
 )
 def test_anything_else_is_refused(stated: object) -> None:
     with pytest.raises(FormError):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -30,17 +30,32 @@ from proprio_ros.sim.payload import PayloadFacts
 
 ROOT = Path(__file__).resolve().parents[2]
 REAL = ROOT.parent / "shared" / "recordings_real"
+Bend = Callable[..., tuple[int, Any]]
 PUSH = ROOT / "bags" / "quantised_s00_fixed_heavy_ball_50g_joint3" / "bag_mcap"
 LIFT = "j2"
+Pair = tuple[Motion, Motion]
+needs_gen3 = pytest.mark.skipif(
+    not (REAL / "gen3_as_published_2").exists(),
+    reason="needs the real recordings",
+)
+needs_ar5 = pytest.mark.skipif(
+    not (REAL / "ar5_side_mounted_1").exists(),
+    reason="needs the real recordings",
+)
 
 
-def other_way(joints: tuple[str, ...] = ()) -> Callable[..., tuple[int, Any]]:
+def other_way(joints: Sequence[str] = ()) -> Bend:
     """Efforts of all joints, or of some, times -1."""
 
-    def bend(topic: str, time_ns: int, message: Any) -> tuple[int, Any]:
+    def bend(
+        topic: str,
+        time_ns: int,
+        message: Any,
+    ) -> tuple[int, Any]:
         if topic == "/joint_states":
             turned = np.array([not joints or name in joints for name in message.name])
-            message.effort = np.where(turned, -1.0, 1.0) * np.asarray(message.effort)
+            signs = np.where(turned, -1.0, 1.0)
+            message.effort = signs * np.asarray(message.effort)
         return time_ns, message
 
     return bend
@@ -123,7 +138,9 @@ def test_live_it_is_a_parameter_and_stands_in_the_command_that_gives_the_answer_
     ],
 )
 def test_the_option_states_all_that_should_hold(
-    wrong: tuple[str, ...], turned: tuple[str, ...], option: str
+    wrong: tuple[str, ...],
+    turned: tuple[str, ...],
+    option: str,
 ) -> None:
     assert effort_sign_option(("a", "b", "c"), wrong, turned) == f"--effort-sign {option}"
 
@@ -147,14 +164,21 @@ def pair(robot: Robot) -> tuple[Motion, Motion]:
 
 def reversed_of(motion: Motion, joints: tuple[str, ...]) -> Motion:
     turned = np.array([name in joints for name in motion.joints])
-    return replace(motion, current_A=motion.current_A * np.where(turned, -1.0, 1.0))
+    signs = np.where(turned, -1.0, 1.0)
+    return replace(motion, current_A=motion.current_A * signs)
 
 
-@pytest.mark.parametrize(("loaded", "empty"), [(True, False), (False, True), (False, False)])
+@pytest.mark.parametrize("loaded", [True, False])
+@pytest.mark.parametrize("empty", [True, False])
 def test_a_wrong_sign_in_either_recording_is_refused(
-    robot: Robot, pair: tuple[Motion, Motion], loaded: bool, empty: bool
+    robot: Robot,
+    pair: Pair,
+    loaded: bool,
+    empty: bool,
 ) -> None:
     """``loaded`` and ``empty``: whether that recording has the right sign."""
+    if loaded and empty:
+        return  # another test's
     rights = (loaded, empty)
     seen = [
         motion if right else reversed_of(motion, motion.joints)
@@ -166,13 +190,12 @@ def test_a_wrong_sign_in_either_recording_is_refused(
 
 
 @pytest.mark.parametrize("loaded", [True, False])
-def test_one_joint_of_wrong_sign_misleads_nobody(
-    robot: Robot, pair: tuple[Motion, Motion], loaded: bool
-) -> None:
+def test_one_joint_of_wrong_sign_misleads_nobody(robot: Robot, pair: Pair, loaded: bool) -> None:
     """In the empty recording alone, and in both: the joint counts for nothing, and what the others say holds."""
     with_load, empty = pair
     seen = with_load if loaded else reversed_of(with_load, (LIFT,))
-    answer = identify_in_motion(robot, [seen], [reversed_of(empty, (LIFT,))], PayloadFacts())
+    also = reversed_of(empty, (LIFT,))
+    answer = identify_in_motion(robot, [seen], [also], PayloadFacts())
     if answer.verdict is Verdict.ACCEPTED:
         low, high = answer.values[0].ci95
         assert low < 1.5 < high
@@ -181,21 +204,25 @@ def test_one_joint_of_wrong_sign_misleads_nobody(
 
 
 def test_the_right_sign_is_accepted_and_one_that_was_stated_wrongly_can_be_undone(
-    robot: Robot, pair: tuple[Motion, Motion]
+    robot: Robot, pair: Pair
 ) -> None:
     loaded, empty = pair
     answer = identify_in_motion(robot, [loaded], [empty], PayloadFacts())
     low, high = answer.values[0].ci95
     assert answer.verdict is Verdict.ACCEPTED and low < 1.5 < high
-    turned = [replace(reversed_of(each, each.joints), turned=each.joints) for each in pair]
+    turned = [
+        replace(
+            reversed_of(each, each.joints),
+            turned=each.joints,
+        )
+        for each in pair
+    ]
     answer = identify_in_motion(robot, turned[:1], turned[1:], PayloadFacts())
     assert answer.verdict is Verdict.REJECTED
     assert "--effort-sign 1 states it" in " ".join(answer.reasons)
 
 
-def test_nothing_is_learnt_of_an_arm_by_a_wrong_sign(
-    robot: Robot, pair: tuple[Motion, Motion]
-) -> None:
+def test_nothing_is_learnt_of_an_arm_by_a_wrong_sign(robot: Robot, pair: Pair) -> None:
     _, empty = pair
     learnt = calibrate_motions(robot, [reversed_of(empty, empty.joints)], [], None)
     assert learnt.verdict is Verdict.REJECTED
@@ -205,14 +232,16 @@ def test_nothing_is_learnt_of_an_arm_by_a_wrong_sign(
 # --- real ones --------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.skipif(not (REAL / "gen3_as_published_2").exists(), reason="needs the real recordings")
-@pytest.mark.parametrize(("loaded", "empty"), [(2, 4), (4, 2)])
+@needs_gen3
+@pytest.mark.parametrize("loaded", [2, 4])
 def test_a_gen3_as_its_vendors_driver_publishes_it(
-    capsys: pytest.CaptureFixture[str], loaded: int, empty: int
+    capsys: pytest.CaptureFixture[str],
+    loaded: int,
 ) -> None:
     """Nothing is held in either; with the sign that the profile undoes both were refused."""
     asked = ["replay", str(REAL / f"gen3_as_published_{loaded}"), "--probe", "payload"]
-    asked += ["--baseline", str(REAL / f"gen3_as_published_{empty}"), "--robot", "gen3"]
+    asked += ["--baseline", str(REAL / f"gen3_as_published_{6 - loaded}")]
+    asked += ["--robot", "gen3"]
     asked += ["--driver", "kortex", "--json"]
     assert main(asked) == 0
     answer = json.loads(capsys.readouterr().out)
@@ -223,7 +252,7 @@ def test_a_gen3_as_its_vendors_driver_publishes_it(
     assert "--effort-sign -1 states it" in reasons
 
 
-@pytest.mark.skipif(not (REAL / "ar5_side_mounted_1").exists(), reason="needs the real recordings")
+@needs_ar5
 def test_an_arm_on_its_side_is_told_the_gravity_to_paste(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -241,4 +270,6 @@ def test_an_arm_on_its_side_is_told_the_gravity_to_paste(
     (bag,) = json.loads(capsys.readouterr().out)["bags"]
     assert "unlike_urdf" not in {each["code"] for each in bag["findings"]}
     (unit,) = [each for each in bag["effort_units"] if each["unit"] == "N.m"]
-    assert len(unit["ratio"]) >= 4 and all(0.9 < ratio < 1.15 for ratio in unit["ratio"].values())
+    ratios = unit["ratio"].values()
+    assert len(ratios) >= 4
+    assert min(ratios) > 0.9 and max(ratios) < 1.15

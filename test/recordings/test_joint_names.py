@@ -20,6 +20,7 @@ from proprio_ros.recordings.read_options import ReadOptions
 from proprio_ros.recordings.topics import Conventions
 from proprio_ros.robot import load_robot
 
+Bend = Callable[..., tuple[int, Any]]
 BAG = Path("bag")
 PUSH = (
     Path(__file__).resolve().parents[2]
@@ -31,10 +32,14 @@ PANDA = tuple(f"panda_joint{number}" for number in range(1, 8))
 PLAIN = tuple(f"joint{number}" for number in range(1, 8))
 
 
-def named(before: str, beside: str = "") -> Callable[..., tuple[int, Any]]:
+def named(before: str, beside: str = "") -> Bend:
     """Messages with other names, and with a second arm that stands beside the first one."""
 
-    def bend(topic: str, time_ns: int, message: Any) -> tuple[int, Any]:
+    def bend(
+        topic: str,
+        time_ns: int,
+        message: Any,
+    ) -> tuple[int, Any]:
         if topic == "/joint_states":
             names = list(message.name)
             message.name = [before + name for name in names]
@@ -48,13 +53,22 @@ def named(before: str, beside: str = "") -> Callable[..., tuple[int, Any]]:
     return bend
 
 
-def options(joints: tuple[str, ...], conventions: Conventions | None = None) -> ReadOptions:
+def options(
+    joints: tuple[str, ...],
+    conventions: Conventions | None = None,
+) -> ReadOptions:
     return ReadOptions(Effort("N.m", {}), joints, conventions or Conventions())
 
 
 @pytest.mark.parametrize(
     ("before", "behind"),
-    [("fer_", ""), ("fr3_", ""), ("left/arm_", ""), ("", ".pos"), ("a_", ":x")],
+    [
+        ("fer_", ""),
+        ("fr3_", ""),
+        ("left/arm_", ""),
+        ("", ".pos"),
+        ("a_", ":x"),
+    ],
 )
 @pytest.mark.parametrize("joints", [PANDA, PLAIN])
 def test_one_prefix_or_suffix_is_taken_for_the_robots(
@@ -87,11 +101,10 @@ def test_two_arms_are_refused_with_both_ways() -> None:
 
 def test_what_has_only_numbers_in_common_does_not_fit() -> None:
     """Any arm has a first joint."""
-    assert ways_of([f"joint_{number}" for number in range(1, 8)], PANDA) == []
-    assert (
-        ways_of([f"axis_{number}" for number in range(1, 8)], [f"joint_{n}" for n in range(1, 8)])
-        == []
-    )
+    ours = [f"joint_{number}" for number in range(1, 8)]
+    assert ways_of(ours, PANDA) == []
+    axes = [f"axis_{number}" for number in range(1, 8)]
+    assert ways_of(axes, ours) == []
     assert ways_of(["shoulder_pan_joint", "elbow_joint"], PANDA) == []
 
 

@@ -89,7 +89,9 @@ class _Model:
         )
 
     def left(
-        self, torque: FloatArray, beside: FloatArray | None = None
+        self,
+        torque: FloatArray,
+        beside: FloatArray | None = None,
     ) -> tuple[float, FloatArray]:
         """What is left of a torque, shape (E,), in parts of what the URDF says, and the factors of columns ``beside``, (E, 3).
 
@@ -232,7 +234,11 @@ def torque_cause(robot: Robot, motion: Motion) -> Cause | None:
     return Cause(words, option) if sure and CLEARER * least < other else None
 
 
-def _tried(robot: Robot, motion: Motion, model: _Model) -> Iterator[_Tried]:
+def _tried(
+    robot: Robot,
+    motion: Motion,
+    model: _Model,
+) -> Iterator[_Tried]:
     sizes = model.size
     asked = [
         (
@@ -271,7 +277,11 @@ def _tried(robot: Robot, motion: Motion, model: _Model) -> Iterator[_Tried]:
     yield from _by_gravity(robot, motion, model)
 
 
-def _by_gravity(robot: Robot, motion: Motion, model: _Model) -> Iterator[_Tried]:
+def _by_gravity(
+    robot: Robot,
+    motion: Motion,
+    model: _Model,
+) -> Iterator[_Tried]:
     """Gravity from elsewhere: torque is linear in it."""
     still = _Model.of(
         replace(robot, gravity=np.zeros(3)),

@@ -43,7 +43,10 @@ positions are so far off was put together anew, where a recording knows that: th
 both are off alike, as from their URDF, a load shows it, too, and an interval holds that is off by less."""
 
 
-def deciding(tells: FloatArray | None, values: FloatArray) -> FloatArray:
+def deciding(
+    tells: FloatArray | None,
+    values: FloatArray,
+) -> FloatArray:
     """Values of the joints that decide; NaN of the others."""
     return values if tells is None else np.where(tells < DECIDES, np.nan, values)
 
@@ -92,7 +95,10 @@ def _percent(share: float) -> str:
 
 
 def unexplained_torque(
-    joints: Sequence[str], share: FloatArray, by: str, name: str = ""
+    joints: Sequence[str],
+    share: FloatArray,
+    by: str,
+    name: str = "",
 ) -> Iterator[Refusal]:
     """Where the worst joint's torque is not what the model makes of it.
 
@@ -128,7 +134,10 @@ def _tool(arm_over_urdf: float) -> str:
     return ""
 
 
-def unlike_urdf(arm_over_urdf: float, motion: Motion) -> Iterator[Refusal]:
+def unlike_urdf(
+    arm_over_urdf: float,
+    motion: Motion,
+) -> Iterator[Refusal]:
     """Where the arm weighs far more or less by its torques than by its URDF, or hangs on them the other way round.
 
     ``arm_over_urdf``: how many times as much; ``motion``: one of those that say so.
@@ -198,7 +207,10 @@ def other_zero(name: str, fit: MotionFit) -> Iterator[Refusal]:
         )
 
 
-def far_from_prior(terms: FittedTerms, known: str) -> Iterator[Refusal]:
+def far_from_prior(
+    terms: FittedTerms,
+    known: str,
+) -> Iterator[Refusal]:
     """Where the worst of an arm's terms is not what ``known`` has it to be."""
     pulls = np.abs(terms.values - terms.prior) / terms.std
     worst = int(np.argmax(pulls))
@@ -214,7 +226,10 @@ def far_from_prior(terms: FittedTerms, known: str) -> Iterator[Refusal]:
 
 
 def centre_elsewhere(
-    name: str, stated: Centre, fit: MotionFit, free: MotionFit
+    name: str,
+    stated: Centre,
+    fit: MotionFit,
+    free: MotionFit,
 ) -> Iterator[Refusal]:
     """Where the payload is not at its stated centre, and the mass is another one for it.
 
@@ -265,7 +280,11 @@ def elsewhere(
     )
 
 
-def lighter_than_empty(mass_kg: float, half_kg: float, advice: str) -> Iterator[Refusal]:
+def lighter_than_empty(
+    mass_kg: float,
+    half_kg: float,
+    advice: str,
+) -> Iterator[Refusal]:
     """Where a mass is below nothing by more than the half width of its interval.
 
     ``mass_kg``: that was found; ``half_kg``: of its interval; ``advice``: what may be wrong.
