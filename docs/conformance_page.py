@@ -113,6 +113,8 @@ def _right(row: Any) -> str:
         found.append(" or ".join(f"`{code}`" for code in row.codes))
     if row.cause or row.unsaid:
         found.append("named")
+    if row.zeros_move:
+        found.append("in the interval for zeros that moved, where one is given")
     if row.narrow is not None:
         found.append(f"at most {row.narrow:g} half wide")
     if row.pending:

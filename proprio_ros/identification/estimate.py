@@ -105,6 +105,8 @@ class Value:
     std: float | list[float | None] | None = None
     ci95: Any = None
     reason: str = ""
+    # the interval if a joint's zero moved since the calibration by as much as may go unseen; None where that changes little
+    if_zeros_moved: list[float] | None = None
 
     @property
     def label(self) -> str:
@@ -163,6 +165,7 @@ class Value:
             "ci95",
             "unit",
             *(["reason"] if self.reason else []),
+            *(["if_zeros_moved"] if self.if_zeros_moved is not None else []),
         )
 
 

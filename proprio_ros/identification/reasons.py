@@ -31,7 +31,7 @@ CODES = {
     "arm_unlike_urdf": "by its torques the arm weighs far more or less than its URDF says",
     "other_torque": "a joint's torque is larger or smaller than the empty arm's, as in another unit",
     "other_zero": "a joint's positions are read from elsewhere than the empty arm's, as after its horn was put on anew",
-    "leans_on_zero": "one pose does not tell a joint's zero from weight; the interval counts how far zeros differ",
+    "leans_on_zero": "one pose does not tell a joint's zero from weight; `if_zeros_moved` is the interval for 20 mrad of it",
     "misread_joint": "a joint's positions or efforts are counted the other way round, or are another joint's",
     "lighter_than_empty": "the hand seems lighter than it was empty",
     "says_too_little": "the motion determines the value too coarsely to state it",

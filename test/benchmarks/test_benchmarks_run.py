@@ -190,13 +190,5 @@ def test_mutated_pushes_of_one_arm(capsys: pytest.CaptureFixture[str]) -> None:
     main(["--count", "4", "--first", "11", "--only", "step of a held joint", "command scaled"])
     rows = [line.split("|") for line in capsys.readouterr().out.splitlines() if "|" in line]
     beyond = {row[1].strip(): row[4].strip() for row in rows}
-    assert set(beyond) == {
-        "what is wrong",
-        "step of a held joint",
-        "command scaled",
-        "all",
-        "nothing",
-    }
-    assert [beyond[kind] for kind in ("step of a held joint", "command scaled", "nothing")] == [
-        "0"
-    ] * 3
+    for kind in ("step of a held joint", "command scaled", "nothing"):
+        assert beyond[kind] == "0"

@@ -45,6 +45,7 @@ class Row:
         more: Further words of the command.
         command: Instead of the base's command.
         make: Makes further files, or others in the place of the base's; of the folder and the files so far.
+        zeros_move: The interval that has to hold is that for zeros that moved, where one is given.
         narrow: Largest half width of an accepted interval, in the estimate's unit; None: any.
         pending: Why this package does not pass it yet; empty: it passes.
     """
@@ -62,6 +63,7 @@ class Row:
     more: tuple[str, ...] = ()
     command: tuple[str, ...] = ()
     make: Callable[[Path, Files], Files] | None = None
+    zeros_move: bool = False
     narrow: float | None = None
     pending: str = ""
 
@@ -117,7 +119,8 @@ def wrong_with(row: Row, outcome: Outcome) -> list[str]:
     if outcome.verdict not in row.verdicts:
         found.append(f"verdict {outcome.verdict}, right: {', '.join(row.verdicts)}")
     if told and outcome.interval is not None:
-        low, high = outcome.interval
+        given = outcome.if_zeros_moved if row.zeros_move else None
+        low, high = given or outcome.interval
         if not low <= row.of.truth <= high:
             found.append(f"{low:.4g} to {high:.4g} misses {row.of.truth:g}")
         if row.narrow is not None and 0.5 * (high - low) > row.narrow:

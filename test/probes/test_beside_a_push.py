@@ -91,11 +91,49 @@ def test_a_zero_that_one_pose_does_not_tell_is_counted(
 
 @pytest.mark.parametrize("folder", [BALL, CUBE, LOWERED])
 def test_an_answer_says_how_far_it_leans_on_a_zero(arm: Robot, folder: Path) -> None:
-    """Whatever is counted of it, where 10 mrad would move the answer out of its interval."""
+    """Whatever is counted of it, where 20 mrad would move the answer out of its interval."""
     estimate = asked(arm, recorded(folder), folder)
     (said,) = (reason for reason in estimate.reasons if reason.code == "leans_on_zero")
-    assert "10 mrad more are -" in said and "counts 1 mrad" in said
+    assert "20 mrad more are -" in said and "counts 1 mrad" in said
     assert "--baseline" in said
+    low, high = estimate.values[0].ci95
+    lowest, highest = estimate.values[0].if_zeros_moved or (low, high)
+    assert f"it is {1e3 * lowest:.1f} to {1e3 * highest:.1f} g" in said
+    assert lowest < low and high < highest
+
+
+@pytest.mark.parametrize("joint", ["joint2", "joint3", "joint4"])
+@pytest.mark.parametrize("zero_rad", [0.02, -0.02])
+@pytest.mark.parametrize(("folder", "kg"), [(BALL, 0.02), (CUBE, 0.023), (LOWERED, 0.1)])
+def test_the_range_for_a_zero_that_moved_holds(
+    arm: Robot, folder: Path, kg: float, joint: str, zero_rad: float
+) -> None:
+    estimate = asked(
+        arm,
+        bends.zero_off(recorded(folder), joint, zero_rad),
+        folder,
+    )
+    mass = estimate.values[0]
+    lowest, highest = mass.if_zeros_moved or mass.ci95
+    assert estimate.verdict is not Verdict.ACCEPTED or lowest < kg < highest
+    assert mass.if_zeros_moved is None or estimate.as_json()["estimates"][0]["if_zeros_moved"]
+
+
+def test_zeros_that_are_stated_to_move_as_much_need_no_range(arm: Robot) -> None:
+    estimate = asked(replace(arm, zero_repeat=0.01), recorded(BALL))
+    assert estimate.values[0].if_zeros_moved is None and "leans_on_zero" not in codes(estimate)
+
+
+def test_a_zero_that_a_push_half_shows_counts(arm: Robot) -> None:
+    """Between two and a half and four standard deviations it is no chance and no certainty."""
+    verdicts = []
+    for zero_rad in (0.0, 0.03, 0.04):
+        bent = bends.zero_off(recorded(LOWERED), "joint3", zero_rad)
+        estimate = asked(arm, bent, LOWERED)
+        verdicts.append(estimate.verdict)
+        mass = estimate.values[0]
+        assert mass.value is None or mass.ci95[0] < 0.1 < mass.ci95[1]
+    assert verdicts == [Verdict.ACCEPTED, Verdict.TOO_WIDE, Verdict.REJECTED]
 
 
 @pytest.mark.parametrize("zero_rad", [0.05, -0.05])

@@ -60,6 +60,7 @@ from proprio_ros.identification.robot_unknowns import ZERO_REPEATS, ZEROS_BESIDE
 from proprio_ros.identification.same_joint import another_joint, mean_of, outside
 from proprio_ros.identification.swing_friction import TERMS, own_friction, swing_starts
 from proprio_ros.identification.unknowns import Role
+from proprio_ros.kinds import name_of
 from proprio_ros.quantity import Z95, shown
 from proprio_ros.records import Run
 from proprio_ros.robot import Robot
@@ -83,8 +84,8 @@ AS_WELL, MEASURED = 4.0, 0.02
 """A fit whose chi-square is larger by less explains a recording as well as another; a torque constant that is known better than so,
 relative, has been measured."""
 
-LEAN_RAD = 0.01
-"""By what it is said how far an answer leans on a zero, where so much moves the answer out of its interval."""
+LEAN_RAD = 0.02
+"""So far elsewhere a zero may be unseen, as by a base that was tilted by a degree: said where it matters."""
 ANY_ZERO_RAD = 0.3  # How far a horn may be put on elsewhere than it was: standard deviation.
 # So many times better, and an open zero is believed; less, and the mass may be either.
 BETTER_FOLLOWED = 1.5
@@ -418,6 +419,10 @@ class Weighed(Conclusion):
             self.assessed.widen(mass - float(self.opened.values[self.assessed.row]))
             # where the joint hardly moves, the balance of torques is all that was seen, and no linearisation about a creep holds
             self.assessed.widen(_static_std(self.fit.problem, self.runs))
+        else:
+            joint, off_kg = self.assessed.seeming_zero
+            if joint:
+                self.count(off_kg, name_of(("zero", joint)))
 
     def comparable(self) -> bool:
         return True
@@ -595,21 +600,34 @@ class Weighed(Conclusion):
     def useful(self) -> Useful:
         return Useful(self.options.wide_share, self.options.wide_floor_kg)
 
-    def remarks(self) -> Iterator[str]:
-        """How far an answer leans on zeros that one pose does not tell."""
-        if not self.assessed.leans:
-            return
+    @property
+    def leaning(self) -> tuple[str, float]:
+        """The joint whose zero matters most, and what `LEAN_RAD` of it are [kg]; no joint where that stays within the interval."""
         joint, per_rad = max(
             self.assessed.leans.items(),
             key=lambda entry: abs(entry[1]),
+            default=("", 0.0),
         )
-        if LEAN_RAD * abs(per_rad) < Z95 * self.assessed.std:
+        within = LEAN_RAD * abs(per_rad) < Z95 * self.assessed.std
+        return ("", 0.0) if within else (joint, LEAN_RAD * per_rad)
+
+    def if_zeros_moved(self) -> list[float]:
+        """What the interval would be if the zero that matters most were `LEAN_RAD` elsewhere, to either side [kg]."""
+        half = Z95 * self.assessed.std + abs(self.leaning[1])
+        return [max(self.assessed.value - half, 0.0), max(self.assessed.value + half, 0.0)]
+
+    def remarks(self) -> Iterator[str]:
+        """How far an answer leans on zeros that one pose does not tell."""
+        joint, more_kg = self.leaning
+        if not joint:
             return
-        more = shown("kg", per_rad * LEAN_RAD, spec="+.1f")
+        more = shown("kg", more_kg, spec="+.1f")
         said = f"this pose does not tell the zero of {joint} from weight: {1e3 * LEAN_RAD:.0f} mrad more are {more}"
         counted = f"the interval counts {1e3 * self.assessed.zero_repeat:g} mrad of each joint (zero_repeat_rad)"
+        ends = shown("kg", *self.if_zeros_moved(), spec=".1f", between=" to ")
+        wide = f"if horns or base may have moved by a degree, it is {ends}"
         remedy = "an empty-hand run beside it (--baseline) tells them apart"
-        yield Reason("leans_on_zero", f"{said}; {counted}; {remedy}")
+        yield Reason("leans_on_zero", f"{said}; {counted}; {wide}; {remedy}")
 
     def cautions(self, solver: SolverSummary) -> Iterator[str]:
         yield from super().cautions(solver)
@@ -638,6 +656,8 @@ class Weighed(Conclusion):
             self.assessed.std,
             withheld,
         )
+        if mass.known and self.leaning[0]:
+            mass = replace(mass, if_zeros_moved=self.if_zeros_moved())
         rows = [problem.index[axis] for axis in COM]
         if not any(problem.unknowns[row].std > 0.0 for row in rows):
             return (mass,)

@@ -6,7 +6,6 @@ from conformance.table import ACCEPTED, VERDICTS, Bent, Row
 
 _SECTION = "G. Beside a push"
 _20_G = "push_light_ball_20g_joint3_calibrated"
-_LEANS = "the answer leans on the zero, and says so"
 _23_G = "push_heavy_cube_23g_joint3_x0_calibrated"
 _100_G = "push_reference_100g_joint3_x1_calibrated"
 _LOADED = ("loaded",)
@@ -35,13 +34,14 @@ ROWS = (
             base=base,
             bends=(Bent("push_zero_off", {"joint": joint, "zero_rad": zero}, _LOADED),),
             cause=r"zero|rad",
-            pending=pending,
+            said_if=VERDICTS,
+            zeros_move=True,
         )
-        for joint, zero, base, pending in (
-            ("joint2", 0.02, _20_G, _LEANS),
-            ("joint3", 0.02, _20_G, _LEANS),
-            ("joint2", -0.1, _23_G, ""),
-            ("joint3", -0.1, _23_G, ""),
+        for joint, zero, base in (
+            ("joint2", 0.02, _20_G),
+            ("joint3", 0.02, _20_G),
+            ("joint2", -0.1, _23_G),
+            ("joint3", -0.1, _23_G),
         )
     ),
     Row(

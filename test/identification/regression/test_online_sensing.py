@@ -232,7 +232,10 @@ def test_a_publisher_that_becomes_faster_is_heard(case: Case, every: int) -> Non
 
 @pytest.mark.parametrize("late_s", [0.004, 0.009])
 def test_samples_that_are_stamped_too_late_count_as_lost(case: Case, late_s: float) -> None:
-    """A busy computer does not run the driver between measuring and stamping: positions seem to lag, and speeds to change."""
+    """A busy computer does not run the driver between measuring and stamping: positions seem to lag, and speeds to change.
+
+    Taken as they come, they leave 187 of 234 estimates, 1.2 to 1.4 standard deviations off in the median, and 1.6 times as wide.
+    """
     row = np.arange(len(case.day.times_s))
     late = (row > 100) & (row % 7 == 0)
     stamped_s = case.day.times_s + np.where(late, late_s, 0.0)

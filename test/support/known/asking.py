@@ -34,6 +34,8 @@ class Outcome:
     said: str  # all sentences; assumptions where it is accepted
     value: float | None = None
     interval: tuple[float, float] | None = None
+    # the same if a joint's zero is elsewhere than at the calibration, where it is said that this matters
+    if_zeros_moved: tuple[float, float] | None = None
 
 
 def bent_bag(
@@ -89,6 +91,7 @@ def asked(
     value = next((each for each in told.get("estimates", []) if each["name"] == estimate), {})
     interval = value.get("ci95")
     bounded = interval is not None and None not in interval
+    moved = value.get("if_zeros_moved")
     return Outcome(
         exit_code=code,
         verdict=verdict,
@@ -96,4 +99,5 @@ def asked(
         said=" | ".join(filter(None, sentences)),
         value=value.get("value"),
         interval=(interval[0], interval[1]) if bounded else None,
+        if_zeros_moved=(moved[0], moved[1]) if moved else None,
     )
