@@ -321,7 +321,9 @@ class Assessment:
     @property
     def seeming_zero(self) -> tuple[str, float]:
         """The joint whose zero seems elsewhere, by less than is refused, and what that would change in the value's unit."""
-        if not self.zeros_seen or self.zeros_seen[0].pull <= SEEMS_ELSEWHERE:
+        # residuals that chance does not explain have something of a zero's, too
+        unseen = not self.zeros_seen or not self.fit.explains
+        if unseen or self.zeros_seen[0].pull <= SEEMS_ELSEWHERE:
             return "", 0.0
         first = self.zeros_seen[0]
         return first.joint, self.leans.get(first.joint, 0.0) * first.off_rad
