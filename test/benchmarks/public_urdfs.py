@@ -1,8 +1,8 @@
 """URDFs as people publish them, each made a robot file and read back: ``python test/benchmarks/public_urdfs.py``.
 
 The URDFs are those of three packages on PyPI, installed into a temporary folder, or found in one that is given; without either the
-benchmark is skipped. A robot with several hands is asked for the first that the refusal names, by ``--tip``. A file counts as read
-back where it is loaded for recorded torque as it stands, and, written for currents, once what it marks is stated.
+benchmark is skipped. A robot that is asked which hand is meant gets a file for each, by ``--tip``. A file counts as read back where
+it is loaded for recorded torque as it stands, and, written for currents, once what it marks is stated.
 
 What moves is then compared with what others make of the same text: the efforts that hold the robot in three random poses and the
 inertia about each joint by MuJoCo, where it takes the URDF, and the sum of the masses that move by a few lines over the XML.
@@ -29,7 +29,8 @@ from results import Results, parser_of
 
 from proprio_ros.cli import main as proprio
 from proprio_ros.errors import ProprioError
-from proprio_ros.robot import Robot, load_robot, with_recorded_torque
+from proprio_ros.robot import Robot, RobotModel, load_robot, with_recorded_torque
+from proprio_ros.robot.hands import hands
 from proprio_ros.robot.loads import Loads
 
 PACKAGES = {
@@ -45,7 +46,8 @@ COLUMNS = {
     "URDFs": "{urdfs}",
     "without a joint that moves": "{no_arm}",
     "robot file read back": "{read} of {arms}",
-    "of these with a note": "{noted}",
+    "files, one a hand": "{files}",
+    "with a note": "{noted}",
     "MuJoCo takes": "{compared}",
     "farthest from MuJoCo": "{apart:.1g}",
     "masses agree": "{same_mass} of {read}",
@@ -58,6 +60,7 @@ class Answer(NamedTuple):
 
     why: str = ""  # it is refused
     notes: tuple[str, ...] = ()
+    files: int = 0  # one a hand, where there are several
     apart: float | None = None  # largest difference from MuJoCo, relative
     same_mass: bool = False
 
@@ -84,14 +87,6 @@ def asked(*words: str) -> dict[str, Any]:
     return {**answer, "exit_code": code}
 
 
-def written(urdf: Path, output: Path, *words: str) -> dict[str, Any]:
-    """The answer of `robot new`; where it asks which hand, that for the first one."""
-    command = ["robot", "new", str(urdf), "--output", str(output), "--force", *words]
-    answer = asked(*command)
-    tip = re.search(r"--tip (\S+)", answer.get("error", ""))
-    return asked(*command, "--tip", tip[1]) if tip else answer
-
-
 def filled_in(text: str) -> str:
     """A file with what it marks as to be stated."""
     text = re.sub(r"(nominal_torque_constant_N_m_per_A): null", r"\1: 2.0", text)
@@ -104,16 +99,26 @@ def answer_to(urdf: Path, folder: Path) -> Answer:
     Raises `ProprioError`: A file was written that is refused.
     """
     output = folder / "robot.yaml"
-    answer = written(urdf, output, "--effort-unit", "N.m")
-    if answer["exit_code"]:
-        return Answer(why=answer["error"])
-    robot = load_robot(output, with_recorded_torque(output, {}))
-    notes = robot.model.notes
-    written(urdf, output)
-    output.write_text(filled_in(output.read_text()))
-    load_robot(output)
+    new = ["robot", "new", str(urdf), "--output", str(output), "--force"]
+    first = asked(*new)
+    tips: list[list[str]] = [[]]
+    if "several hands" in first.get("error", ""):
+        tips = [["--tip", hand] for hand in hands(RobotModel.from_urdf(urdf))]
+    for tip in tips:
+        answer = asked(*new, *tip)
+        if answer["exit_code"]:
+            return Answer(why=answer["error"])
+        output.write_text(filled_in(output.read_text()))
+        load_robot(output)
+        asked(*new, *tip, "--effort-unit", "N.m")
+        robot = load_robot(output, with_recorded_torque(output, {}))
     text = urdf.read_text(encoding="utf-8")
-    return Answer("", notes, apart_from_mujoco(robot, text), agrees_in_mass(robot, text))
+    return Answer(
+        notes=robot.model.notes,
+        files=len(tips),
+        apart=apart_from_mujoco(robot, text),
+        same_mass=agrees_in_mass(robot, text),
+    )
 
 
 def bare(text: str) -> ElementTree.Element:
@@ -221,11 +226,12 @@ def one_package(
             refused += [] if no_arm else [(urdf.name, answer.why)]
             continue
         count["read"] += 1
+        count["files"] += answer.files
         count["noted"] += bool(answer.notes)
         count["same_mass"] += answer.same_mass
         if answer.apart is not None:
             apart.append(answer.apart)
-    row = {key: count[key] for key in ("no_arm", "refused", "read", "noted", "same_mass")}
+    row = {key: count[key] for key in ("no_arm", "refused", "read", "files", "noted", "same_mass")}
     arms = len(urdfs) - row["no_arm"]
     farthest = max(apart, default=None)
     counts = {"urdfs": len(urdfs), "arms": arms, "compared": len(apart), "apart": farthest}
@@ -252,7 +258,17 @@ def main() -> int:
             results.row("urdfs", **row)
             rows.append(row)
             refused += why
-    added = ("urdfs", "no_arm", "arms", "refused", "read", "noted", "same_mass", "compared")
+    added = (
+        "urdfs",
+        "no_arm",
+        "arms",
+        "refused",
+        "read",
+        "files",
+        "noted",
+        "same_mass",
+        "compared",
+    )
     total = {key: sum(row[key] for row in rows) for key in added}
     apart = max((row["apart"] for row in rows if row["apart"] is not None), default=None)
     results.row("urdfs", package="all", apart=apart, **total)
