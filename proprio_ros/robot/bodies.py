@@ -101,8 +101,34 @@ def possible_bodies(
             result.links[name] = _nothing(name)
             result.problems.setdefault("the mass is negative", []).append(name)
         else:
-            result.links[name], mend = _body(each)
-            mends += [mend] if mend else []
+            link, mend = _body(each)
+            result.links[name] = link
+            if mend is not None:
+                mends.append(mend)
+    mends += _of_the_bare(tree, stated, result)
+    _judge(tree, mends, result)
+    for names in result.missing.values():
+        for name in names:
+            result.links[name] = replace(
+                result.links[name],
+                unknown=True,
+            )
+    return result
+
+
+def _of_the_bare(
+    tree: _Tree,
+    stated: Mapping[str, Stated],
+    result: Bodies,
+) -> list[_Mend]:
+    """What is taken for bodies without mass; those of an arm are missing.
+
+    Args:
+        tree: Of all bodies.
+        stated: By link.
+        result: Links as far as they are known; what is missing is added.
+    """
+    mends = []
     bare = tree.without_mass(result.links)
     is_arm = len(bare) < len(set(tree.body.values()))
     for name in bare:
@@ -115,10 +141,7 @@ def possible_bodies(
             result.missing.setdefault(_REFUSED[_MADE], []).append(name)
         elif made.kg:
             mends.append(made)
-    _judge(tree, mends, result)
-    for names in result.missing.values():
-        result.links |= {name: replace(result.links[name], unknown=True) for name in names}
-    return result
+    return mends
 
 
 def _nothing(name: str) -> Link:
@@ -149,12 +172,19 @@ def _body(each: Stated) -> tuple[Link, _Mend | None]:
     largest = float(np.abs(each.inertia).max())
     if each.mass is None or (mass <= _NO_MASS_KG and largest <= _NO_INERTIA_KG_M2):
         return _nothing(each.name), None
-    far = float(np.trace(each.inertia)) > 2.0 * mass * _POINT_REACH_M**2
     is_speck = mass < _POINT_KG
+    # of a body at that distance from its centre everywhere
+    farthest = 2.0 * mass * _POINT_REACH_M**2
+    far = float(np.trace(each.inertia)) > farthest
     if _is_possible(each) and not (is_speck and far):
         return _placed(each, mass, each.inertia), None
     if is_speck:
-        return _placed(each, mass, np.zeros((3, 3))), _Mend(each.name, _POINTS)
+        point = _placed(
+            each,
+            mass,
+            np.zeros((3, 3)),
+        )
+        return point, _Mend(each.name, _POINTS)
     return _mended(each, mass)
 
 
@@ -162,21 +192,62 @@ def _mended(each: Stated, mass: float) -> tuple[Link, _Mend | None]:
     """Of a body of a gram or more that cannot be."""
     trace = float(np.trace(each.inertia))
     size, axes = np.linalg.eigh(_second_moments(each.inertia))
-    centre_m = float(np.linalg.norm(each.at[:3, 3]))
-    if abs(trace) <= _NO_SIZE_M2 * mass and size.max() <= _NO_SIZE_M2 * mass:
-        radius_m = (3.0 * mass / (4.0 * np.pi * _WATER_KG_M3)) ** (1.0 / 3.0)
-        moment = 0.4 * mass * radius_m**2
-        ball = _placed(each, mass, moment * np.eye(3), Spread(inertia=1.0))
-        return ball, _Mend(each.name, _BALL, centre_m=centre_m, moment=moment)
-    least = -float(size[0])
-    kept = (axes * np.maximum(size, 0.0)) @ axes.T
-    inertia = np.trace(kept) * np.eye(3) - kept
-    if least <= _ROUNDING * trace:
-        return _placed(each, mass, inertia), None
-    moment = float(np.abs(np.linalg.eigvalsh(inertia - each.inertia)).max())
-    relative = moment / max(float(np.linalg.eigvalsh(inertia).max()), moment)
-    flat = _placed(each, mass, inertia, Spread(inertia=relative))
-    return flat, _Mend(each.name, _FLAT, centre_m=centre_m, moment=moment)
+    no_size = _NO_SIZE_M2 * mass
+    if abs(trace) <= no_size and size.max() <= no_size:
+        return _ball(each, mass)
+    kept = np.maximum(size, 0.0)
+    nearest = _second_moments_to_inertia((axes * kept) @ axes.T)
+    if -size[0] <= _ROUNDING * trace:
+        return _placed(each, mass, nearest), None
+    moment = _largest_moment(nearest - each.inertia)
+    whole = max(_largest_moment(nearest), moment)
+    flat = _placed(
+        each,
+        mass,
+        nearest,
+        Spread(inertia=moment / whole),
+    )
+    mend = _Mend(
+        each.name,
+        _FLAT,
+        centre_m=_length(each.at[:3, 3]),
+        moment=moment,
+    )
+    return flat, mend
+
+
+def _ball(each: Stated, mass: float) -> tuple[Link, _Mend]:
+    """A ball as dense as water at the place that is stated."""
+    volume_m3 = mass / _WATER_KG_M3
+    radius_m = (3.0 * volume_m3 / (4.0 * np.pi)) ** (1.0 / 3.0)
+    moment = 0.4 * mass * radius_m**2
+    ball = _placed(
+        each,
+        mass,
+        moment * np.eye(3),
+        Spread(inertia=1.0),
+    )
+    mend = _Mend(
+        each.name,
+        _BALL,
+        centre_m=_length(each.at[:3, 3]),
+        moment=moment,
+    )
+    return ball, mend
+
+
+def _second_moments_to_inertia(second: FloatArray) -> FloatArray:
+    return np.trace(second) * np.eye(3) - second
+
+
+def _largest_moment(inertia: FloatArray) -> float:
+    """By its size, of whatever sign."""
+    moments = np.linalg.eigvalsh(inertia)
+    return float(np.abs(moments).max())
+
+
+def _length(vector: FloatArray) -> float:
+    return float(np.linalg.norm(vector))
 
 
 def _placed(
@@ -193,13 +264,30 @@ def _placed(
         inertia: About its centre [kg m^2], shape (3, 3).
         spread: How far it may lie off; None: no farther than other links.
     """
-    central = pseudo_inertia(mass, np.zeros(3), inertia)
-    return Link(each.name, frozen(each.at @ central @ each.at.T), spread or Spread())
+    central = pseudo_inertia(
+        mass,
+        np.zeros(3),
+        inertia,
+    )
+    about_frame = each.at @ central @ each.at.T
+    return Link(
+        each.name,
+        frozen(about_frame),
+        spread or Spread(),
+    )
 
 
 def _finger(made: _Mend, middle: FloatArray) -> Link:
-    pseudo = pseudo_inertia(made.kg, middle, made.moment * np.eye(3))
-    known = Spread(1.0, float(np.linalg.norm(middle)), 1.0)
+    pseudo = pseudo_inertia(
+        made.kg,
+        middle,
+        made.moment * np.eye(3),
+    )
+    known = Spread(
+        mass=1.0,
+        com_m=_length(middle),
+        inertia=1.0,
+    )
     return Link(made.link, frozen(pseudo), known)
 
 
@@ -212,14 +300,15 @@ class _Tree:
         self._at: dict[str, FloatArray] = {}  # body_T_link
         self._behind: dict[str, list[Joint]] = defaultdict(list)  # joints that a body carries
         for joint in joints:
-            at = self._at.get(joint.parent, np.eye(4)) @ joint.origin
+            child = joint.child
+            before = self.body.get(joint.parent)
             if joint.kind != "fixed":
-                self.body[joint.child] = joint.child
-                self._at[joint.child] = np.eye(4)
-                self._behind[self.body.get(joint.parent, root)].append(joint)
-            elif joint.parent in self.body:
-                self.body[joint.child] = self.body[joint.parent]
-                self._at[joint.child] = at
+                self.body[child] = child
+                self._at[child] = np.eye(4)
+                self._behind[before or root].append(joint)
+            elif before is not None:
+                self.body[child] = before
+                self._at[child] = self._at[joint.parent] @ joint.origin
 
     def links_of(self, body: str) -> list[str]:
         """All links of a body."""
@@ -239,17 +328,23 @@ class _Tree:
             joint = self.carrier[link]
             if joint.kind != "fixed":
                 yield joint.name, away_m
-            away_m += float(np.linalg.norm(joint.origin[:3, 3]))
+            away_m += _length(joint.origin[:3, 3])
             link = joint.parent
 
     def middle(self, body: str) -> FloatArray:
         """Halfway to the farthest joint that a body carries, in its own frame [m], shape (3,)."""
         ends = [np.zeros(3)]
         for joint in self._behind[body]:
-            ends.append((self._at[joint.parent] @ joint.origin)[:3, 3])
-        return 0.5 * max(ends, key=lambda end: float(np.linalg.norm(end)))
+            at = self._at[joint.parent] @ joint.origin
+            ends.append(at[:3, 3])
+        return 0.5 * max(ends, key=_length)
 
-    def missing(self, body: str, links: Mapping[str, Link], has_shape: bool) -> _Mend | None:
+    def missing(
+        self,
+        body: str,
+        links: Mapping[str, Link],
+        has_shape: bool,
+    ) -> _Mend | None:
         """What to take for a body of which nothing is stated; None: it is part of an arm, so that nobody can know.
 
         Args:
@@ -257,61 +352,90 @@ class _Tree:
             links: As far as they are known.
             has_shape: Whether there is something of it to be seen.
         """
-        length_m = 2.0 * float(np.linalg.norm(self.middle(body)))
+        middle_m = _length(self.middle(body))
+        is_nowhere = middle_m < 0.5 * _NOWHERE_M and not has_shape
         carries = self._beyond(body, links) > 0.0
-        if length_m < _NOWHERE_M and not has_shape and carries:
-            return _Mend(body, _MADE)
+        if carries:
+            return _Mend(body, _MADE) if is_nowhere else None
         joint = self.carrier[body]
-        is_finger = joint.mimic is not None or any(
-            _FINGER.search(name) for name in (joint.name, joint.child)
-        )
-        is_wheel = not self._behind[body] and joint.parent not in self.body
-        if carries or not (is_finger or is_wheel):
+        names = (joint.name, joint.child)
+        is_last = not self._behind[body]
+        is_wheel = is_last and joint.parent not in self.body
+        is_finger = joint.mimic is not None or any(map(_FINGER.search, names))
+        if not (is_finger or is_wheel):
             return None
-        if not has_shape and length_m < _NOWHERE_M:
+        if is_nowhere:
             return _Mend(body, _MADE)
-        if not self._behind[body]:
-            length_m = max(float(np.linalg.norm(joint.origin[:3, 3])), _LEAST_FINGER_M)
+        length_m = 2.0 * middle_m
+        if is_last:
+            # about as long as the part before it
+            length_m = max(_length(joint.origin[:3, 3]), _LEAST_FINGER_M)
         kg = _WATER_KG_M3 * _SLENDER**2 * length_m**3
         return _Mend(
-            body, _MADE, kg, float(np.linalg.norm(self.middle(body))), kg * length_m**2 / 12.0
+            body,
+            _MADE,
+            kg=kg,
+            centre_m=middle_m,
+            moment=kg * length_m**2 / 12.0,
         )
 
     def _beyond(self, body: str, links: Mapping[str, Link]) -> float:
         """Mass of what a body carries on joints of its own [kg]."""
         total = 0.0
         for joint in self._behind[body]:
-            own = (links[link].pseudo_inertia[3, 3] for link in self.links_of(joint.child))
-            total += float(sum(own)) + self._beyond(joint.child, links)
+            for link in self.links_of(joint.child):
+                total += float(links[link].pseudo_inertia[3, 3])
+            total += self._beyond(joint.child, links)
         return total
 
 
 def _judge(tree: _Tree, mends: Sequence[_Mend], result: Bodies) -> None:
     """Note what was taken for what is stated, with its part of a joint's torque; where that is too much, it is refused."""
     load = _torques(tree, result.links)
-    taken = {
-        mend.link: {
-            joint: _torque(mend.kg, away_m + mend.centre_m, mend.moment) / load[joint]
-            for joint, away_m in tree.up(mend.link)
-            if load[joint] > 0.0
-        }
-        for mend in mends
-    }
+    taken = {mend.link: _shares(tree, mend, load) for mend in mends}
     total = _added(taken.values())
     for how in dict.fromkeys(mend.how for mend in mends):
         alike = [mend for mend in mends if mend.how == how]
-        parts = _added(taken[mend.link] for mend in alike)
+        names = [mend.link for mend in alike]
+        parts = _added(taken[name] for name in names)
         where = max(parts, key=lambda joint: parts[joint], default="")
-        part = f"{_percent(parts[where])} of the torque at {where}"
-        too_much = [mend.link for mend in alike if _matters(taken[mend.link], total)]
+        share = parts[where]
+        part = f"{_percent(share)} of the torque at {where}"
+        too_much = [name for name in names if _matters(taken[name], total)]
         if too_much:
             kind = result.missing if how == _MADE else result.problems
             kind[f"{_REFUSED[how]}, and is {part}"] = too_much
             continue
-        part = f"; at most {part}" if parts[where] else ""
-        result.notes.append(f"{how}{part}: {some(mend.link for mend in alike)}")
+        at_most = f"; at most {part}" if share else ""
+        result.notes.append(f"{how}{at_most}: {some(names)}")
         if how == _MADE:
-            result.links |= {mend.link: _finger(mend, tree.middle(mend.link)) for mend in alike}
+            for mend in alike:
+                middle = tree.middle(mend.link)
+                result.links[mend.link] = _finger(mend, middle)
+
+
+def _shares(
+    tree: _Tree,
+    mend: _Mend,
+    load: Mapping[str, float],
+) -> dict[str, float]:
+    """What was taken in parts of each joint's torque.
+
+    Args:
+        tree: Of all bodies.
+        mend: What was taken.
+        load: Torque by joint [N m].
+    """
+    shares = {}
+    for joint, away_m in tree.up(mend.link):
+        if load[joint] > 0.0:
+            torque = _torque(
+                mend.kg,
+                away_m + mend.centre_m,
+                mend.moment,
+            )
+            shares[joint] = torque / load[joint]
+    return shares
 
 
 def _torques(tree: _Tree, links: Mapping[str, Link]) -> dict[str, float]:
@@ -320,11 +444,17 @@ def _torques(tree: _Tree, links: Mapping[str, Link]) -> dict[str, float]:
     for name, link in links.items():
         pseudo = link.pseudo_inertia
         mass = float(pseudo[3, 3])
-        if mass > 0.0:
-            centre_m = float(np.linalg.norm(pseudo[:3, 3])) / mass
-            moment = float(np.trace(pseudo[:3, :3])) - mass * centre_m**2
-            for joint, away_m in tree.up(name):
-                load[joint] += _torque(mass, away_m + centre_m, moment)
+        if mass <= 0.0:
+            continue
+        centre_m = _length(pseudo[:3, 3]) / mass
+        about_frame = float(np.trace(pseudo[:3, :3]))
+        moment = about_frame - mass * centre_m**2
+        for joint, away_m in tree.up(name):
+            load[joint] += _torque(
+                mass,
+                away_m + centre_m,
+                moment,
+            )
     return load
 
 
@@ -339,15 +469,17 @@ def _added(shares: Iterable[Mapping[str, float]]) -> dict[str, float]:
 
 def _torque(kg: float, away_m: float, moment: float) -> float:
     """About a level axis so far away, held and accelerated [N m]."""
-    return _GRAVITY * kg * away_m + _BRISK * (moment + kg * away_m**2)
+    inertia = moment + kg * away_m**2
+    return _GRAVITY * kg * away_m + _BRISK * inertia
 
 
 def _matters(taken: Mapping[str, float], total: Mapping[str, float]) -> bool:
     """Whether a link has a part in what is too much at a joint; a hundredth of it is none."""
-    return any(
-        total[joint] > LARGEST_SHARE and share > 0.01 * total[joint]
-        for joint, share in taken.items()
-    )
+    for joint, share in taken.items():
+        is_part = share > 0.01 * total[joint]
+        if is_part and total[joint] > LARGEST_SHARE:
+            return True
+    return False
 
 
 def _percent(share: float) -> str:

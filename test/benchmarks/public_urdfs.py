@@ -14,6 +14,7 @@ import argparse
 import contextlib
 import io
 import json
+import os
 import re
 import subprocess
 import sys
@@ -248,9 +249,12 @@ def main() -> int:
     results.table("urdfs", COLUMNS)
     refused: list[tuple[str, str]] = []
     rows = []
+    results.file = options.json and options.json.resolve()
+    packages = options.packages and options.packages.resolve()
     with tempfile.TemporaryDirectory() as place:
-        folder = options.packages or Path(place) / "packages"
-        if options.packages is None and not installed(folder):
+        os.chdir(place)  # MuJoCo writes its log where it is
+        folder = packages or Path(place) / "packages"
+        if packages is None and not installed(folder):
             print(f"skipped: {', '.join(PACKAGES)} cannot be installed")
             return 0
         for package in PACKAGES:
