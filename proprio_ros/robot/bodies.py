@@ -163,7 +163,8 @@ def _is_possible(each: Stated) -> bool:
     if each.mass is None or each.mass <= 0.0:
         return False
     smallest, middle, largest = np.linalg.eigvalsh(each.inertia)
-    return bool(smallest > 0.0 and largest <= (smallest + middle) * (1.0 + _SAME))
+    most = (smallest + middle) * (1.0 + _SAME)
+    return bool(smallest > 0.0 and largest <= most)
 
 
 def _body(each: Stated) -> tuple[Link, _Mend | None]:

@@ -89,9 +89,12 @@ class RobotModel:
         beyond = {link.name: float(link.pseudo_inertia[3, 3]) for link in self.links}
         for joint in reversed(self.joints):
             beyond[joint.parent] += beyond[joint.child]
-        return tuple(
-            name for name in self.independent_joints if beyond[self.joint(name).child] <= 0.0
-        )
+        idle = []
+        for name in self.independent_joints:
+            child = self.joint(name).child
+            if beyond[child] <= 0.0:
+                idle.append(name)
+        return tuple(idle)
 
     @functools.cached_property
     def _joints_by_name(self) -> dict[str, Joint]:

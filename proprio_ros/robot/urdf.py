@@ -115,14 +115,13 @@ class UrdfReader:
         if self._problems:
             self._problems += missing
             self._refuse()
-        links = bodies.links
-        name = one_line(self._robot.get("name") or "robot", LONGEST_NAME)
+        links = [bodies.links[root]]
+        for joint in ordered:
+            links.append(bodies.links[joint.child])
+        name = self._robot.get("name") or "robot"
         return (
-            name,
-            (
-                links[root],
-                *(links[joint.child] for joint in ordered),
-            ),
+            one_line(name, LONGEST_NAME),
+            tuple(links),
             tuple(ordered),
             root,
             (*self._notes, *bodies.notes),
@@ -311,7 +310,10 @@ class UrdfReader:
         )
 
     def _range(
-        self, limit: ElementTree.Element | None, kind: str, where: str
+        self,
+        limit: ElementTree.Element | None,
+        kind: str,
+        where: str,
     ) -> tuple[float, float]:
         """Smallest and largest position; of two limits, one that is left out is zero, by the format, and two zeros are none."""
         stated = limit is not None and not {"lower", "upper"}.isdisjoint(limit.keys())
@@ -328,7 +330,10 @@ class UrdfReader:
         return lower, upper
 
     def _rates(
-        self, limit: ElementTree.Element | None, kind: str, where: str
+        self,
+        limit: ElementTree.Element | None,
+        kind: str,
+        where: str,
     ) -> tuple[float, float]:
         """Limits of velocity and effort; no motor moves nothing at all: many exporters write 0 where nobody has stated a limit."""
         if limit is None or kind == "fixed":
@@ -344,7 +349,10 @@ class UrdfReader:
         return velocity or math.inf, effort or math.inf
 
     def _mimic(
-        self, element: ElementTree.Element, kind: str, where: str
+        self,
+        element: ElementTree.Element,
+        kind: str,
+        where: str,
     ) -> tuple[str, float, float] | None:
         mimic = element.find("mimic")
         if mimic is None or kind == "fixed":
