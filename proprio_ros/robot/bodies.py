@@ -192,12 +192,14 @@ def _body(each: Stated) -> tuple[Link, _Mend | None]:
 def _mended(each: Stated, mass: float) -> tuple[Link, _Mend | None]:
     """Of a body of a gram or more that cannot be."""
     trace = float(np.trace(each.inertia))
-    size, axes = np.linalg.eigh(_second_moments(each.inertia))
+    second = _second_moments(each.inertia)
+    size, axes = np.linalg.eigh(second)
     no_size = _NO_SIZE_M2 * mass
     if abs(trace) <= no_size and size.max() <= no_size:
         return _ball(each, mass)
     kept = np.maximum(size, 0.0)
-    nearest = _second_moments_to_inertia((axes * kept) @ axes.T)
+    nearest_second = (axes * kept) @ axes.T
+    nearest = _inertia_of(nearest_second)
     if -size[0] <= _ROUNDING * trace:
         return _placed(each, mass, nearest), None
     moment = _largest_moment(nearest - each.inertia)
@@ -237,7 +239,7 @@ def _ball(each: Stated, mass: float) -> tuple[Link, _Mend]:
     return ball, mend
 
 
-def _second_moments_to_inertia(second: FloatArray) -> FloatArray:
+def _inertia_of(second: FloatArray) -> FloatArray:
     return np.trace(second) * np.eye(3) - second
 
 
@@ -319,8 +321,13 @@ class _Tree:
         """Bodies that have none."""
         kg: dict[str, float] = defaultdict(float)
         for link, body in self.body.items():
-            kg[body] += float(links[link].pseudo_inertia[3, 3])
-        return [body for body, mass in kg.items() if mass <= 0.0]
+            pseudo = links[link].pseudo_inertia
+            kg[body] += float(pseudo[3, 3])
+        bare = []
+        for body, mass in kg.items():
+            if mass <= 0.0:
+                bare.append(body)
+        return bare
 
     def up(self, link: str) -> Iterator[tuple[str, float]]:
         """Joints that move a link, and how far from each it is along the links at most [m]."""
@@ -360,9 +367,10 @@ class _Tree:
             return _Mend(body, _MADE) if is_nowhere else None
         joint = self.carrier[body]
         names = (joint.name, joint.child)
+        is_called_so = any(map(_FINGER.search, names))
+        is_finger = is_called_so or joint.mimic is not None
         is_last = not self._behind[body]
         is_wheel = is_last and joint.parent not in self.body
-        is_finger = joint.mimic is not None or any(map(_FINGER.search, names))
         if not (is_finger or is_wheel):
             return None
         if is_nowhere:
@@ -371,7 +379,8 @@ class _Tree:
         if is_last:
             # about as long as the part before it
             length_m = max(_length(joint.origin[:3, 3]), _LEAST_FINGER_M)
-        kg = _WATER_KG_M3 * _SLENDER**2 * length_m**3
+        thickness_m = _SLENDER * length_m
+        kg = _WATER_KG_M3 * length_m * thickness_m**2
         return _Mend(
             body,
             _MADE,
@@ -385,7 +394,8 @@ class _Tree:
         total = 0.0
         for joint in self._behind[body]:
             for link in self.links_of(joint.child):
-                total += float(links[link].pseudo_inertia[3, 3])
+                pseudo = links[link].pseudo_inertia
+                total += float(pseudo[3, 3])
             total += self._beyond(joint.child, links)
         return total
 

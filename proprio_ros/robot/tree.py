@@ -86,7 +86,9 @@ class RobotModel:
     @functools.cached_property
     def idle_joints(self) -> tuple[str, ...]:
         """Joints with a position of their own that move nothing with mass."""
-        beyond = {link.name: float(link.pseudo_inertia[3, 3]) for link in self.links}
+        beyond = {}
+        for link in self.links:
+            beyond[link.name] = float(link.pseudo_inertia[3, 3])
         for joint in reversed(self.joints):
             beyond[joint.parent] += beyond[joint.child]
         idle = []
@@ -282,12 +284,14 @@ class RobotModel:
     ) -> None:
         """Refuse bodies without mass, but those between axes that meet in one place."""
         unknown = {link.name for link in self.links if link.unknown}
-        beyond = [float(pseudo[3, 3]) for pseudo in bodies]
+        own = [float(pseudo[3, 3]) for pseudo in bodies]
+        beyond = own.copy()
         for body in reversed(range(len(bodies))):
             if parents[body] >= 0:
                 beyond[parents[body]] += beyond[body]
-        for joint, pseudo, mass in zip(moving, bodies, beyond, strict=True):
-            if mass <= 0.0 or (pseudo[3, 3] <= 0.0 and joint.child in unknown):
+        for body, joint in enumerate(moving):
+            is_lacking = own[body] <= 0.0 and joint.child in unknown
+            if is_lacking or beyond[body] <= 0.0:
                 raise RobotError(
                     f"nothing that moves with joint {joint.name!r} of {self.name} has mass: "
                     f"give link {joint.child!r} an <inertial>, or hold the joint"
