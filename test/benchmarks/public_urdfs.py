@@ -154,7 +154,8 @@ def apart_from_mujoco(robot: Robot, text: str) -> float | None:
         load = ours.at(pose)
         gravity, inertia = by_mujoco(robot, theirs, pose)
         for mine, other in ((load.gravity, gravity), (load.inertia, inertia)):
-            difference = np.abs(np.array([*mine.values()]) - other).max()
+            values = np.array([*mine.values()])
+            difference = np.abs(values - other).max()
             # where all axes are upright, nothing is held
             apart.append(float(difference / (np.abs(other).max() or 1.0)))
     return max(apart)
@@ -188,7 +189,9 @@ def by_mujoco(
 def agrees_in_mass(robot: Robot, text: str) -> bool:
     """Whether what moves weighs what the document says, by the document alone; what nobody states is left out."""
     root = ElementTree.fromstring(text)
-    carrier = {joint.find("child").get("link"): joint for joint in root.findall("joint")}  # type: ignore[union-attr]
+    carrier = {}
+    for joint in root.findall("joint"):
+        carrier[joint.find("child").get("link")] = joint  # type: ignore[union-attr]
 
     def moves(link: str | None) -> bool:
         while link in carrier:
@@ -203,8 +206,10 @@ def agrees_in_mass(robot: Robot, text: str) -> bool:
         mass = link.find("inertial/mass")
         if mass is not None and moves(link.get("name")):
             stated += float(mass.get("value", "0"))
-    links = [link for link in robot.model.links if moves(link.name) and link.spread.mass == 0.0]
-    ours = sum(float(link.pseudo_inertia[3, 3]) for link in links)
+    ours = 0.0
+    for each in robot.model.links:
+        if moves(each.name) and each.spread.mass == 0.0:
+            ours += float(each.pseudo_inertia[3, 3])
     return abs(ours - stated) < UNSEEN_KG
 
 
@@ -232,7 +237,8 @@ def one_package(
         count["same_mass"] += answer.same_mass
         if answer.apart is not None:
             apart.append(answer.apart)
-    row = {key: count[key] for key in ("no_arm", "refused", "read", "files", "noted", "same_mass")}
+    kinds = ("no_arm", "refused", "read", "files", "noted", "same_mass")
+    row = {key: count[key] for key in kinds}
     arms = len(urdfs) - row["no_arm"]
     farthest = max(apart, default=None)
     counts = {"urdfs": len(urdfs), "arms": arms, "compared": len(apart), "apart": farthest}
@@ -274,7 +280,8 @@ def main() -> int:
         "compared",
     )
     total = {key: sum(row[key] for row in rows) for key in added}
-    apart = max((row["apart"] for row in rows if row["apart"] is not None), default=None)
+    farthest = [row["apart"] for row in rows if row["apart"] is not None]
+    apart = max(farthest, default=None)
     results.row("urdfs", package="all", apart=apart, **total)
     results.table("refused", REFUSED)
     for name, why in refused:

@@ -69,16 +69,18 @@ def test_a_joint_whose_followers_it_carries_moves_them_with_what_is_common(tmp_p
         joint("b", "one", "two", axis="0 1 0", mimic='<mimic joint="a" multiplier="0.7"/>'),
         joint("c", "two", "three", mimic='<mimic joint="b" multiplier="-2" offset="0.3"/>'),
     )
+    placed = [text.replace("<parent", away, 1) for text in joints]
     path = tmp_path / "arm.urdf"
-    path.write_text(
-        chain(*(text.replace("<parent", away, 1) for text in joints), links="".join(links))
-    )
+    path.write_text(chain(*placed, links="".join(links)))
     robot = load_robot(path, with_recorded_torque(path, {}))
     pose = {"a": 0.4}
     load = Loads(robot).at(pose)
-    ahead, behind = (potential_J(robot, {"a": pose["a"] + s}) for s in (STEP, -STEP))
-    assert load.gravity["a"] == pytest.approx((ahead - behind) / (2.0 * STEP), abs=1e-6)
-    assert load.inertia["a"] == pytest.approx(2.0 * kinetic_J(robot, pose, "a"), rel=1e-6)
+    ahead = potential_J(robot, {"a": pose["a"] + STEP})
+    behind = potential_J(robot, {"a": pose["a"] - STEP})
+    slope = (ahead - behind) / (2.0 * STEP)
+    twice = 2.0 * kinetic_J(robot, pose, "a")
+    assert load.gravity["a"] == pytest.approx(slope, abs=1e-6)
+    assert load.inertia["a"] == pytest.approx(twice, rel=1e-6)
 
 
 def test_what_the_hand_holds_pulls_where_the_hand_is() -> None:
