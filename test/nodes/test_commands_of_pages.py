@@ -1,0 +1,200 @@
+"""README's commands and those of the page about arms, as they stand, in a fresh clone with an environment of its own.
+
+The libraries are those of the environment that runs the tests; `.ci/run` installs them by README's command.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import sysconfig
+import venv
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("rclpy")
+pytest.importorskip("mujoco")
+
+from support.documents import README, REPOSITORY, page, text_of
+from support.domains import free_domain
+from support.waiting import wait_for
+
+from proprio_ros.cli.terminal import EXIT_NO_ANSWER, EXIT_OK
+
+pytestmark = pytest.mark.long
+
+LONGEST_S = 3600.0
+"""A new machine compiles kernels first, and others may use it."""
+END_S = 120.0
+LIVE = re.compile(r"^\S*proprio live\b")
+CALL = re.compile(r"^\S*proprio call\b")
+
+
+def commands(text: str, after: str) -> list[str]:
+    """Those of the first block after some words, without comments, as a shell takes them."""
+    block = re.search(r"```\n(.*?)```", text.split(after, 1)[1], re.DOTALL)
+    assert block is not None
+    lines = block[1].replace("\\\n", " ").splitlines()
+    return [re.sub(r"\s+# .*$", "", line) for line in lines]
+
+
+@dataclass
+class Clone:
+    """A copy of what the repository holds, with its own environment and home."""
+
+    folder: Path
+    environment: dict[str, str]
+
+    def run(self, command: str) -> subprocess.CompletedProcess[str]:
+        return subprocess.run(
+            ["bash", "-c", command],
+            cwd=self.folder,
+            env=self.environment,
+            capture_output=True,
+            text=True,
+            timeout=LONGEST_S,
+        )
+
+    @contextmanager
+    def live(self, command: str) -> Iterator[Path]:
+        """`proprio live` in another terminal, until Ctrl-C; what it says."""
+        said = self.folder / "said"
+        with said.open("wb") as stream:
+            process = subprocess.Popen(
+                ["bash", "-c", f"exec {command}"],
+                cwd=self.folder,
+                env=self.environment,
+                stdin=subprocess.DEVNULL,
+                stdout=stream,
+                stderr=stream,
+            )
+        try:
+            yield said
+            process.send_signal(signal.SIGINT)
+            assert process.wait(END_S) == EXIT_OK, said.read_text()
+            assert said.read_text().splitlines()[-1] == "proprio: all nodes have ended"
+        finally:
+            process.kill()
+            process.wait()
+
+
+@pytest.fixture(scope="module")
+def clone(tmp_path_factory: pytest.TempPathFactory) -> Clone:
+    top = tmp_path_factory.mktemp("fresh")
+    folder = top / "clone"
+    listed = subprocess.run(
+        ["git", "ls-files", "-coz", "--exclude-standard"],
+        cwd=REPOSITORY,
+        capture_output=True,
+        check=False,
+    )
+    if listed.returncode != 0:
+        pytest.skip("needs git, and the repository")
+    for name in filter(None, listed.stdout.decode().split("\0")):
+        source = REPOSITORY / name
+        if source.is_file():
+            target = folder / name
+            target.parent.mkdir(parents=True, exist_ok=True)
+            shutil.copy2(source, target)
+    venv.create(folder / ".venv", symlinks=True)
+    paths = {"base": str(folder / ".venv"), "platbase": str(folder / ".venv")}
+    own = Path(sysconfig.get_path("purelib", vars=paths))
+    # a line names a folder, whose own files of this kind are left alone: one of them leads to the package that runs the tests
+    libraries = dict.fromkeys(path for path in sys.path if path.endswith("-packages"))
+    ros = [path.read_text() for path in Path(sysconfig.get_path("purelib")).glob("ros_*.pth")]
+    (own / "libraries.pth").write_text("\n".join([*libraries, *ros]))
+    home = top / "home"
+    home.mkdir()
+    # kernels that are compiled already
+    (home / ".cache").symlink_to(Path.home() / ".cache")
+    kept = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
+    environment = {
+        **kept,
+        "HOME": str(home),
+        "PATH": f"{folder / '.venv' / 'bin'}{os.pathsep}{os.environ['PATH']}",
+        "ROS_DOMAIN_ID": free_domain(),
+        "TMPDIR": str(top),
+    }
+    clone = Clone(folder, environment)
+    install = f"{sys.executable} -m pip --python .venv/bin/python install -q --no-deps -e ."
+    done = clone.run(install)
+    if "No matching distribution found for setuptools" in done.stderr:
+        pytest.skip("needs a package index, for setuptools")
+    assert done.returncode == 0, done.stderr
+    where = clone.run("cd / && python -c 'import proprio_ros; print(proprio_ros.__file__)'")
+    assert where.stdout.strip() == str(folder / "proprio_ros" / "__init__.py"), where.stderr
+    return clone
+
+
+def test_the_offline_commands_of_readme(clone: Clone) -> None:
+    calibrate, replay = commands(text_of(README), "**Offline**")
+    done = clone.run(calibrate)
+    assert done.returncode == EXIT_OK, done.stderr
+    written = re.search(r"--output (\S+)", calibrate)
+    assert written is not None
+    assert (clone.folder / written[1]).is_file()
+    done = clone.run(replay)
+    assert done.returncode == EXIT_OK, done.stderr
+    assert done.stdout.startswith("accepted")
+
+
+def test_the_live_commands(clone: Clone) -> None:
+    """Readme's, and on the same arm those of its page: each starts, answers and ends, without `ros2`."""
+    live, weigh = commands(text_of(README), "**Live**")
+    assert LIVE.match(live)
+    with clone.live(live) as said:
+        assert wait_for(lambda: "[identifier]: ready" in said.read_text(), LONGEST_S)
+        done = clone.run(weigh)
+        assert done.returncode in (EXIT_OK, EXIT_NO_ANSWER), done.stderr
+        assert done.stdout, done.stderr
+        of_page = [line for line in commands(page("arm"), "Then in another terminal") if line]
+        assert len(of_page) == 4
+        for command in of_page:
+            assert CALL.match(command), command
+            if command in weigh:  # it takes the longest, and was done
+                continue
+            done = clone.run(command)
+            assert done.returncode in (EXIT_OK, EXIT_NO_ANSWER), f"{command}: {done.stderr}"
+            assert done.stdout, command
+    kept = clone.environment["HOME"]
+    assert list(Path(kept).glob(".ros/proprio_ros/virtual_default/*_payload/bag"))
+
+
+def test_live_on_an_arm_that_is_not_plugged_in_and_on_a_virtual_one(clone: Clone) -> None:
+    on_arm, virtual = commands(page("arm"), "## The three nodes")
+    port = re.search(r"--port (\S+)", on_arm)
+    assert port is not None
+    if not Path(port[1]).exists():
+        with clone.live(on_arm) as said:
+            words = f"{port[1]}: there is no such port"
+            assert wait_for(lambda: words in said.read_text(), LONGEST_S), said.read_text()
+    with clone.live(virtual) as said:
+        assert wait_for(lambda: "a virtual open_manipulator_x at" in said.read_text(), LONGEST_S)
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["proprio", "proprio_driver", "proprio_excitation", "proprio_identifier", "proprio_virtual"],
+)
+def test_every_program_that_is_installed_explains_itself(clone: Clone, name: str) -> None:
+    done = clone.run(f"{name} --help")
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.startswith(f"usage: {name} ")
+
+
+def test_what_the_pages_call_is_a_service() -> None:
+    from proprio_ros.nodes.interface import services
+
+    for name in ("arm", "weigh_at_work"):
+        called = re.findall(r"^proprio call ([a-z_]+)", page(name), re.MULTILINE)
+        called += re.findall(r"ros2 service call /\w+/([a-z_]+) ", page(name))
+        assert called
+        assert set(called) <= services().keys()
