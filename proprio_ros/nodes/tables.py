@@ -85,56 +85,196 @@ DRIVER = (
     ROBOT,
     Parameter("port", "/dev/ttyUSB0", "Serial port of the servo bus."),
     Parameter("baud_rate", 1_000_000, "Bits per second; the servos must be set to the same."),
-    Parameter("rate", 100.0, "Cycles per second [Hz]: 40 as in the paper, 100 or more where the bus allows.", 1.0, 1000.0),
-    Parameter("joints", [], "Order of the joints in commands without labels; empty: the robot file's."),
-    Parameter("command_timeout", _D.command_timeout_s, "`on_timeout` after so long without a current command [s].", 0.01, 5.0),
-    Parameter("on_timeout", _D.on_timeout, "hold: a driven joint is held where it is; zero: it is left without current.",
-              choices=ENDS),
-    Parameter("on_shutdown", "zero", "zero: current zero and torque off at the end; hold: the servos keep their position.",
-              choices=ENDS),
-    Parameter("watchdog", _D.watchdog_s, "The servos stop after so much silence on the bus [s]; 0: never.", 0.0, 2.54),
-    Parameter("limit_margin", _D.limit_margin_rad, "A joint is not driven nearer to its limit [rad].", 0.0, 0.5),
-    Parameter("min_clearance", _D.min_clearance_m, "Nothing that can be lowered is brought nearer to the base's plane, the "
-              "table [m]; -10 where the arm hangs below its base.", -10.0, 1.0),
-    Parameter("max_velocity", _D.max_velocity_rad_s, "A driven joint that turns faster is braked [rad/s].", 0.1, 20.0),
-    Parameter("max_goal_velocity", _D.max_goal_velocity_rad_s, "Goal positions are followed no faster [rad/s].", 0.01, 5.0),
-    Parameter("max_temperature", _D.max_temperature_C, "No currents above this temperature of the motor [deg C].", 20.0, 80.0),
-    Parameter("max_jump", _D.max_jump_rad, "A position that jumps further is an encoder fault [rad].", 0.05, 3.0),
-    Parameter("position_d_gain", _D.position_d_gain, "Register value that damps locked joints.", 0, 16383),
+    Parameter(
+        "rate",
+        100.0,
+        "Cycles per second [Hz]: 40 as in the paper, 100 or more where the bus allows.",
+        1.0,
+        1000.0,
+    ),
+    Parameter(
+        "joints", [], "Order of the joints in commands without labels; empty: the robot file's."
+    ),
+    Parameter(
+        "command_timeout",
+        _D.command_timeout_s,
+        "`on_timeout` after so long without a current command [s].",
+        0.01,
+        5.0,
+    ),
+    Parameter(
+        "on_timeout",
+        _D.on_timeout,
+        "hold: a driven joint is held where it is; zero: it is left without current.",
+        choices=ENDS,
+    ),
+    Parameter(
+        "on_shutdown",
+        "zero",
+        "zero: current zero and torque off at the end; hold: the servos keep their position.",
+        choices=ENDS,
+    ),
+    Parameter(
+        "watchdog",
+        _D.watchdog_s,
+        "The servos stop after so much silence on the bus [s]; 0: never.",
+        0.0,
+        2.54,
+    ),
+    Parameter(
+        "limit_margin",
+        _D.limit_margin_rad,
+        "A joint is not driven nearer to its limit [rad].",
+        0.0,
+        0.5,
+    ),
+    Parameter(
+        "min_clearance",
+        _D.min_clearance_m,
+        "Nothing that can be lowered is brought nearer to the base's plane, the "
+        "table [m]; -10 where the arm hangs below its base.",
+        -10.0,
+        1.0,
+    ),
+    Parameter(
+        "max_velocity",
+        _D.max_velocity_rad_s,
+        "A driven joint that turns faster is braked [rad/s].",
+        0.1,
+        20.0,
+    ),
+    Parameter(
+        "max_goal_velocity",
+        _D.max_goal_velocity_rad_s,
+        "Goal positions are followed no faster [rad/s].",
+        0.01,
+        5.0,
+    ),
+    Parameter(
+        "max_temperature",
+        _D.max_temperature_C,
+        "No currents above this temperature of the motor [deg C].",
+        20.0,
+        80.0,
+    ),
+    Parameter(
+        "max_jump",
+        _D.max_jump_rad,
+        "A position that jumps further is an encoder fault [rad].",
+        0.05,
+        3.0,
+    ),
+    Parameter(
+        "position_d_gain", _D.position_d_gain, "Register value that damps locked joints.", 0, 16383
+    ),
     Parameter("reply_timeout", 0.02, "How long a servo may take to answer [s].", 0.001, 0.2),
-    Parameter("fast_sync_read", True, "Read all servos in one packet where their firmware (45 or newer) knows it."),
-    Parameter("reconnect_period", _D.reconnect_s, "A lost bus is tried again so often [s].", 0.05, 60.0),
-)  # fmt: skip
+    Parameter(
+        "fast_sync_read",
+        True,
+        "Read all servos in one packet where their firmware (45 or newer) knows it.",
+    ),
+    Parameter(
+        "reconnect_period", _D.reconnect_s, "A lost bus is tried again so often [s].", 0.05, 60.0
+    ),
+)
 
 EXCITATION = (
     ROBOT,
-    Parameter("probe", DEFAULT_PROBE, "Sequence that ~/run makes: a name of config/probes, or a file.", dynamic=True),
-    Parameter("limit_margin", _G.limit_margin_rad, "Room left before a joint's limit during a run [rad].", 0.0, 0.5),
-    Parameter("max_velocity", _G.max_velocity_rad_s, "A run ends when a joint is faster [rad/s].", 0.1, 20.0),
-    Parameter("stale_after", _G.stale_after_s, "Joint states further apart end the sequence [s].", 0.02, 5.0),
-    Parameter("follow_error", _G.follow_error_rad, "A joint may be off its goal by so much [rad].", 0.01, 1.0),
-    Parameter("held_joint_error", _G.held_joint_error_rad, "A locked joint may give way by so much [rad].", 0.01, 1.0),
-    Parameter("max_jump", _G.max_jump_rad, "A position that jumps further ends the sequence [rad].", 0.05, 3.0),
-    Parameter("command_interface", "driver",
-              "What takes the commands. driver: this package's; effort: an effort controller of ros2_control, which this node "
-              "then has hold the arm; position: a position controller, for servos that know no current.", choices=COMMANDED),
-    Parameter("input_topic", "",
-              "Where that controller listens; empty: /forward_effort_controller/commands or /position_controller/commands."),
+    Parameter(
+        "probe",
+        DEFAULT_PROBE,
+        "Sequence that ~/run makes: a name of config/probes, or a file.",
+        dynamic=True,
+    ),
+    Parameter(
+        "limit_margin",
+        _G.limit_margin_rad,
+        "Room left before a joint's limit during a run [rad].",
+        0.0,
+        0.5,
+    ),
+    Parameter(
+        "max_velocity",
+        _G.max_velocity_rad_s,
+        "A run ends when a joint is faster [rad/s].",
+        0.1,
+        20.0,
+    ),
+    Parameter(
+        "stale_after",
+        _G.stale_after_s,
+        "Joint states further apart end the sequence [s].",
+        0.02,
+        5.0,
+    ),
+    Parameter(
+        "follow_error",
+        _G.follow_error_rad,
+        "A joint may be off its goal by so much [rad].",
+        0.01,
+        1.0,
+    ),
+    Parameter(
+        "held_joint_error",
+        _G.held_joint_error_rad,
+        "A locked joint may give way by so much [rad].",
+        0.01,
+        1.0,
+    ),
+    Parameter(
+        "max_jump",
+        _G.max_jump_rad,
+        "A position that jumps further ends the sequence [rad].",
+        0.05,
+        3.0,
+    ),
+    Parameter(
+        "command_interface",
+        "driver",
+        "What takes the commands. driver: this package's; effort: an effort controller of ros2_control, which this node "
+        "then has hold the arm; position: a position controller, for servos that know no current.",
+        choices=COMMANDED,
+    ),
+    Parameter(
+        "input_topic",
+        "",
+        "Where that controller listens; empty: /forward_effort_controller/commands or /position_controller/commands.",
+    ),
     Parameter("controller_joints", [], "That controller's `joints`, in its order."),
-    Parameter("controller_manager", "",
-              "Name of the controller_manager that switches to that controller for each sequence, and back; empty: nobody "
-              "switches."),
+    Parameter(
+        "controller_manager",
+        "",
+        "Name of the controller_manager that switches to that controller for each sequence, and back; empty: nobody "
+        "switches.",
+    ),
     Parameter("activate_controller", "", "That controller; empty: as input_topic names it."),
-    Parameter("deactivate_controllers", [], "Controllers that have the joints else; active again after each sequence."),
-    Parameter("effort_unit", "N.m", "What the drive takes an effort for: N.m (current x nominal torque constant), or A.",
-              choices=UNITS),
-    Parameter("hold_frequency", _H.frequency_rad_s,
-              "How stiffly efforts hold a joint: frequency of spring and inertia [rad/s], at most a tenth of the joint states' "
-              "rate.", 3.0, 25.0),
-    Parameter("on_end", "hold",
-              "Last efforts when the node ends, which the controller keeps. hold: what held the arm; zero: it comes down. "
-              "Goals always hold.", choices=ENDS),
-)  # fmt: skip
+    Parameter(
+        "deactivate_controllers",
+        [],
+        "Controllers that have the joints else; active again after each sequence.",
+    ),
+    Parameter(
+        "effort_unit",
+        "N.m",
+        "What the drive takes an effort for: N.m (current x nominal torque constant), or A.",
+        choices=UNITS,
+    ),
+    Parameter(
+        "hold_frequency",
+        _H.frequency_rad_s,
+        "How stiffly efforts hold a joint: frequency of spring and inertia [rad/s], at most a tenth of the joint states' "
+        "rate.",
+        3.0,
+        25.0,
+    ),
+    Parameter(
+        "on_end",
+        "hold",
+        "Last efforts when the node ends, which the controller keeps. hold: what held the arm; zero: it comes down. "
+        "Goals always hold.",
+        choices=ENDS,
+    ),
+)
 
 
 def _parameters_of(probe: Probe[Any]) -> list[Parameter]:
@@ -168,69 +308,183 @@ IDENTIFIER = (
         ROBOT,
         description="Robot of config/robots, the path of a robot file or a URDF, or robot_description: the URDF on that topic.",
     ),
-    Parameter("calibration", "", "Calibration file; empty: the one last taken of this robot in data_directory; none: without."),
-    Parameter("data_directory", "~/.ros/proprio_ros",
-              "Where recordings, results and calibrations are kept; those of a namespace in a folder of its name."),
-    Parameter("settings", [], "What is known about the object, as with --set: payload.size=0.03, sphere.radius=0.01.",
-              dynamic=True),
+    Parameter(
+        "calibration",
+        "",
+        "Calibration file; empty: the one last taken of this robot in data_directory; none: without.",
+    ),
+    Parameter(
+        "data_directory",
+        "~/.ros/proprio_ros",
+        "Where recordings, results and calibrations are kept; those of a namespace in a folder of its name.",
+    ),
+    Parameter(
+        "settings",
+        [],
+        "What is known about the object, as with --set: payload.size=0.03, sphere.radius=0.01.",
+        dynamic=True,
+    ),
     Parameter("robot_sequence", "empty_hand", "Probe sequence of calibrate_robot."),
     *(parameter for probe in all_probes() for parameter in _parameters_of(probe)),
-    Parameter("reference_sequence", "reference", "Probe sequence of calibrate_robot with the reference object."),
-    Parameter("reference_mass", 0.0, "Mass of a weighed object for calibrate_robot [kg]; 0: none.", 0.0, 5.0, dynamic=True),
+    Parameter(
+        "reference_sequence",
+        "reference",
+        "Probe sequence of calibrate_robot with the reference object.",
+    ),
+    Parameter(
+        "reference_mass",
+        0.0,
+        "Mass of a weighed object for calibrate_robot [kg]; 0: none.",
+        0.0,
+        5.0,
+        dynamic=True,
+    ),
     Parameter("reference_settings", [], "The same about the reference object.", dynamic=True),
-    Parameter("reference_wait", 10.0, "Time to put the reference object into the hand [s].", 0.0, 600.0, dynamic=True),
+    Parameter(
+        "reference_wait",
+        10.0,
+        "Time to put the reference object into the hand [s].",
+        0.0,
+        600.0,
+        dynamic=True,
+    ),
     Parameter("excitation_node", "excitation", "Name of the excitation node."),
-    Parameter("driver", "",
-              "Which driver publishes, as with --driver: a profile of config/drivers, or a file; the next four win over it."),
-    Parameter("state_topic", "", "Topic of the joint states, as with --state-topic; empty: joint_states."),
-    Parameter("command_topic", "",
-              "Topic of what drives the joints, as with --command-topic; empty: applied_effort, else current_command."),
-    Parameter("effort_unit", "",
-              "What effort of the joint states means where nothing else says what drives the joints: N.m, A, mA or raw.",
-              choices=EFFORT_UNITS),
-    Parameter("effort_sign", "",
-              "Which way effort of the joint states counts, as with --effort-sign: -1, or JOINT=-1,JOINT=-1; empty: as the robot "
-              "file or the driver's profile says."),
-    Parameter("frame_prefix", "", "Before the frame of payload and markers, as robot_state_publisher's: arm1/."),
+    Parameter(
+        "driver",
+        "",
+        "Which driver publishes, as with --driver: a profile of config/drivers, or a file; the next four win over it.",
+    ),
+    Parameter(
+        "state_topic", "", "Topic of the joint states, as with --state-topic; empty: joint_states."
+    ),
+    Parameter(
+        "command_topic",
+        "",
+        "Topic of what drives the joints, as with --command-topic; empty: applied_effort, else current_command.",
+    ),
+    Parameter(
+        "effort_unit",
+        "",
+        "What effort of the joint states means where nothing else says what drives the joints: N.m, A, mA or raw.",
+        choices=EFFORT_UNITS,
+    ),
+    Parameter(
+        "effort_sign",
+        "",
+        "Which way effort of the joint states counts, as with --effort-sign: -1, or JOINT=-1,JOINT=-1; empty: as the robot "
+        "file or the driver's profile says.",
+    ),
+    Parameter(
+        "frame_prefix",
+        "",
+        "Before the frame of payload and markers, as robot_state_publisher's: arm1/.",
+    ),
     Parameter("report", True, "Write the result and an HTML report beside every recording."),
     Parameter("weigh_seconds", 15.0, "How much of the latest motion weigh takes [s].", 5.0, 120.0),
-    Parameter("running", False,
-              "Estimate the mass in the hand all the time, whatever moves the arm, and publish it ten times a second. Off by "
-              "default, since it takes a tenth of a processor core and replaces what a service published."),
-    Parameter("holding_from", 0.05, "Mass of the lightest object that ~/holding tells from an empty hand [kg].", 0.001, 100.0),
-    Parameter("gravity_effort_rate", 0.0,
-              "How often ~/gravity_effort says which efforts carry arm and payload in the present pose [Hz], and ~/capability what "
-              "the arm can carry, where it is known what the hand holds; 0: not.", 0.0, 200.0),
-    Parameter("hand_on", "none",
-              "Controller that ~/apply hands an accepted load on to: none, ur, franka or xarm."),
-    Parameter("hand_on_service", "", "Service of that controller; empty: the usual one of its driver."),
-    Parameter("hand_on_link", "", "Link in whose frame the controller takes the load; empty: the flange by its usual name."),
-    Parameter("hand_on_tool", "",
-              "The empty gripper, for controllers that want all that hangs at the flange: mass [kg] and centre of mass [m] in "
-              "that link's frame, such as 0.9, 0.0, 0.0, 0.06; 0, 0, 0, 0: none.", loose=True),
-    Parameter("live_period", 0.03, "Pause between estimates while a run is under way [s]; 0 turns them off.", 0.0, 10.0),
-)  # fmt: skip
+    Parameter(
+        "running",
+        False,
+        "Estimate the mass in the hand all the time, whatever moves the arm, and publish it ten times a second. Off by "
+        "default, since it takes a tenth of a processor core and replaces what a service published.",
+    ),
+    Parameter(
+        "holding_from",
+        0.05,
+        "Mass of the lightest object that ~/holding tells from an empty hand [kg].",
+        0.001,
+        100.0,
+    ),
+    Parameter(
+        "gravity_effort_rate",
+        0.0,
+        "How often ~/gravity_effort says which efforts carry arm and payload in the present pose [Hz], and ~/capability what "
+        "the arm can carry, where it is known what the hand holds; 0: not.",
+        0.0,
+        200.0,
+    ),
+    Parameter(
+        "hand_on",
+        "none",
+        "Controller that ~/apply hands an accepted load on to: none, ur, franka or xarm.",
+    ),
+    Parameter(
+        "hand_on_service", "", "Service of that controller; empty: the usual one of its driver."
+    ),
+    Parameter(
+        "hand_on_link",
+        "",
+        "Link in whose frame the controller takes the load; empty: the flange by its usual name.",
+    ),
+    Parameter(
+        "hand_on_tool",
+        "",
+        "The empty gripper, for controllers that want all that hangs at the flange: mass [kg] and centre of mass [m] in "
+        "that link's frame, such as 0.9, 0.0, 0.0, 0.06; 0, 0, 0, 0: none.",
+        loose=True,
+    ),
+    Parameter(
+        "live_period",
+        0.03,
+        "Pause between estimates while a run is under way [s]; 0 turns them off.",
+        0.0,
+        10.0,
+    ),
+)
 
 VIRTUAL = (
     ROBOT,
     Parameter("link", DEFAULT_LINK, "Path under which the servo bus appears; the driver's `port`."),
-    Parameter("interface", "bus",
-              "What drives the arm. bus: the servo bus; effort_controller: efforts on a topic, as ros2_control takes them, "
-              "the last of which stays; position_controller: likewise goals, for position servos.", choices=("bus", *CONTROLLERS)),
-    Parameter("input_topic", "",
-              "Of the controller; empty: /forward_effort_controller/commands or /position_controller/commands."),
+    Parameter(
+        "interface",
+        "bus",
+        "What drives the arm. bus: the servo bus; effort_controller: efforts on a topic, as ros2_control takes them, "
+        "the last of which stays; position_controller: likewise goals, for position servos.",
+        choices=("bus", *CONTROLLERS),
+    ),
+    Parameter(
+        "input_topic",
+        "",
+        "Of the controller; empty: /forward_effort_controller/commands or /position_controller/commands.",
+    ),
     Parameter("controller_joints", [], "Of the controller, in its order; empty: the robot file's."),
-    Parameter("state_rate", 500.0, "Of the joint states that come with a controller [Hz].", 20.0, 1000.0),
-    Parameter("effort_unit", "N.m", "What an effort is: N.m (current x nominal torque constant), or A.", choices=UNITS),
-    Parameter("object", "none",
-              ", ".join(["What the hand holds in a probe: 0.05 (kg)", *(f"{each.kind}:.." for each in virtual_objects())]),
-              dynamic=True, loose=True),
+    Parameter(
+        "state_rate", 500.0, "Of the joint states that come with a controller [Hz].", 20.0, 1000.0
+    ),
+    Parameter(
+        "effort_unit",
+        "N.m",
+        "What an effort is: N.m (current x nominal torque constant), or A.",
+        choices=UNITS,
+    ),
+    Parameter(
+        "object",
+        "none",
+        ", ".join(
+            [
+                "What the hand holds in a probe: 0.05 (kg)",
+                *(f"{each.kind}:.." for each in virtual_objects()),
+            ]
+        ),
+        dynamic=True,
+        loose=True,
+    ),
     Parameter("reference", 0.1, "Mass of the reference object [kg].", 0.001, 2.0, dynamic=True),
-    Parameter("seed", 1, "Draws the arm's hidden numbers from what its file leaves open; -1: the file's.", -1, 2**31 - 1),
+    Parameter(
+        "seed",
+        1,
+        "Draws the arm's hidden numbers from what its file leaves open; -1: the file's.",
+        -1,
+        2**31 - 1,
+    ),
     Parameter("links", False, "Whether the links, too, differ from the URDF."),
     Parameter("truth", "", "File with the hidden numbers, instead of seed and links."),
-    Parameter("fault", "", "drop=P, corrupt=P, hang=JOINT, overheat=JOINT, jump=JOINT or unplug.", dynamic=True),
-)  # fmt: skip
+    Parameter(
+        "fault",
+        "",
+        "drop=P, corrupt=P, hang=JOINT, overheat=JOINT, jump=JOINT or unplug.",
+        dynamic=True,
+    ),
+)
 
 NODES: dict[str, tuple[Parameter, ...]] = {
     "driver": DRIVER,

@@ -12,6 +12,8 @@ import signal
 import subprocess
 import sys
 import sysconfig
+import threading
+import time
 import venv
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -23,11 +25,19 @@ import pytest
 pytest.importorskip("rclpy")
 pytest.importorskip("mujoco")
 
+from sensor_msgs.msg import JointState
+from support.bends.messages import messages_of
 from support.documents import README, REPOSITORY, page, text_of
 from support.domains import free_domain
+from support.drawn_arm import joints_of, write_urdf
+from support.live import Client
+from support.moved_arm import record_arm
 from support.waiting import wait_for
 
 from proprio_ros.cli.terminal import EXIT_NO_ANSWER, EXIT_OK
+from proprio_ros.nodes.interface import services
+from proprio_ros.nodes.messages import joint_state
+from proprio_ros.nodes.qos import STREAM
 
 pytestmark = pytest.mark.long
 
@@ -66,6 +76,13 @@ class Clone:
     @contextmanager
     def live(self, command: str) -> Iterator[Path]:
         """`proprio live` in another terminal, until Ctrl-C; what it says."""
+        with self.running(command) as said:
+            yield said
+        assert said.read_text().splitlines()[-1] == "proprio: all nodes have ended"
+
+    @contextmanager
+    def running(self, command: str) -> Iterator[Path]:
+        """A program in another terminal, until Ctrl-C; what it says."""
         said = self.folder / "said"
         with said.open("wb") as stream:
             process = subprocess.Popen(
@@ -80,7 +97,6 @@ class Clone:
             yield said
             process.send_signal(signal.SIGINT)
             assert process.wait(END_S) == EXIT_OK, said.read_text()
-            assert said.read_text().splitlines()[-1] == "proprio: all nodes have ended"
         finally:
             process.kill()
             process.wait()
@@ -190,9 +206,71 @@ def test_every_program_that_is_installed_explains_itself(clone: Clone, name: str
     assert done.stdout.startswith(f"usage: {name} ")
 
 
-def test_what_the_pages_call_is_a_service() -> None:
-    from proprio_ros.nodes.interface import services
+def test_an_arm_at_work_is_weighed_by_the_commands_of_its_page(
+    clone: Clone, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What the arm's own driver would publish is that of a simulated arm, whose recordings calibrate it."""
+    text = page("weigh_at_work")
+    _record, calibrate = commands(text, "## Calibrate once")
+    (identify,) = commands(text, "give the identifier that file")
+    weigh, _of_ros = commands(text, "## Weigh the last seconds")
+    constants = dict.fromkeys(joints_of(3), 6.0)
+    urdf = write_urdf(clone.folder / "my_arm.urdf", 3, 5)
+    for number, (name, kg, seconds) in enumerate(
+        [("EMPTY_1", 0.0, 20.0), ("EMPTY_2", 0.0, 20.0), ("AT_WORK", 1.0, 60.0)]
+    ):
+        record_arm(clone.folder / name, urdf, constants, "tool0", kg, number, seconds=seconds)
+    assert clone.run("proprio robot new my_arm.urdf --output my_arm.yaml").returncode == EXIT_OK
+    robot = clone.folder / "my_arm.yaml"
+    lines = [
+        line.replace("null", "6.0", 1) if "STATE THIS" in line else line
+        for line in robot.read_text().splitlines()
+    ]
+    robot.write_text("\n".join(lines) + "\n")
+    done = clone.run(calibrate.replace("BAG [BAG ...]", "EMPTY_1 EMPTY_2"))
+    assert done.returncode == EXIT_OK, done.stderr + done.stdout
+    monkeypatch.setenv("ROS_DOMAIN_ID", clone.environment["ROS_DOMAIN_ID"])
+    with clone.running(identify) as said:
+        assert wait_for(lambda: "[identifier]: ready" in said.read_text(), LONGEST_S)
+        with publishing(clone.folder / "AT_WORK") as published:
+            assert wait_for(lambda: len(published) > 1800, LONGEST_S)
+            done = clone.run(weigh)
+    assert done.returncode in (EXIT_OK, EXIT_NO_ANSWER), done.stderr
+    assert "recording: " in done.stdout, "it was weighed, whatever the answer"
 
+
+@contextmanager
+def publishing(bag: Path) -> Iterator[list[int]]:
+    """Joint states of a bag, at their pace, stamped anew; those that were published."""
+    client = Client()
+    published: list[int] = []
+    ended = threading.Event()
+    recorded = [message for topic, _, _, message in messages_of(bag) if topic == "/joint_states"]
+    stamps = [10**9 * each.header.stamp.sec + each.header.stamp.nanosec for each in recorded]
+    publisher = client.node.create_publisher(JointState, "/joint_states", STREAM)
+
+    def publish() -> None:
+        begun_ns = time.time_ns()
+        for stamp_ns, message in zip(stamps, recorded, strict=True):
+            due_ns = begun_ns + stamp_ns - stamps[0]
+            if ended.wait(max(1e-9 * (due_ns - time.time_ns()), 0.0)):
+                return
+            values = (message.position, message.velocity, message.effort)
+            position, velocity, effort = (each.tolist() for each in values)
+            publisher.publish(joint_state(due_ns, list(message.name), position, velocity, effort))
+            published.append(due_ns)
+
+    thread = threading.Thread(target=publish)
+    thread.start()
+    try:
+        yield published
+    finally:
+        ended.set()
+        thread.join()
+        client.close()
+
+
+def test_what_the_pages_call_is_a_service() -> None:
     for name in ("arm", "weigh_at_work"):
         called = re.findall(r"^proprio call ([a-z_]+)", page(name), re.MULTILINE)
         called += re.findall(r"ros2 service call /\w+/([a-z_]+) ", page(name))
