@@ -36,7 +36,7 @@ from support.waiting import wait_for
 
 from proprio_ros.cli.terminal import EXIT_NO_ANSWER, EXIT_OK
 from proprio_ros.nodes.interface import services
-from proprio_ros.nodes.messages import joint_state
+from proprio_ros.nodes.messages import joint_state, time_ns
 from proprio_ros.nodes.qos import STREAM
 
 pytestmark = pytest.mark.long
@@ -102,15 +102,12 @@ class Clone:
             process.wait()
 
 
-@pytest.fixture(scope="module")
-def clone(tmp_path_factory: pytest.TempPathFactory) -> Clone:
-    top = tmp_path_factory.mktemp("fresh")
-    folder = top / "clone"
+def copy_repository(folder: Path) -> None:
+    """What git would put into a clone, as it is here."""
     listed = subprocess.run(
         ["git", "ls-files", "-coz", "--exclude-standard"],
         cwd=REPOSITORY,
         capture_output=True,
-        check=False,
     )
     if listed.returncode != 0:
         pytest.skip("needs git, and the repository")
@@ -120,28 +117,41 @@ def clone(tmp_path_factory: pytest.TempPathFactory) -> Clone:
             target = folder / name
             target.parent.mkdir(parents=True, exist_ok=True)
             shutil.copy2(source, target)
-    venv.create(folder / ".venv", symlinks=True)
-    paths = {"base": str(folder / ".venv"), "platbase": str(folder / ".venv")}
+
+
+def make_environment(folder: Path) -> None:
+    """An environment of Python that has the libraries of this one, and no proprio_ros."""
+    venv.create(folder, symlinks=True)
+    paths = {"base": str(folder), "platbase": str(folder)}
     own = Path(sysconfig.get_path("purelib", vars=paths))
     # a line names a folder, whose own files of this kind are left alone: one of them leads to the package that runs the tests
     libraries = dict.fromkeys(path for path in sys.path if path.endswith("-packages"))
-    ros = [path.read_text() for path in Path(sysconfig.get_path("purelib")).glob("ros_*.pth")]
+    installed = Path(sysconfig.get_path("purelib"))
+    ros = [path.read_text() for path in installed.glob("ros_*.pth")]
     (own / "libraries.pth").write_text("\n".join([*libraries, *ros]))
+
+
+@pytest.fixture(scope="module")
+def clone(tmp_path_factory: pytest.TempPathFactory) -> Clone:
+    top = tmp_path_factory.mktemp("fresh")
+    folder = top / "clone"
+    copy_repository(folder)
+    make_environment(folder / ".venv")
     home = top / "home"
     home.mkdir()
     # kernels that are compiled already
     (home / ".cache").symlink_to(Path.home() / ".cache")
-    kept = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
     environment = {
-        **kept,
+        **os.environ,
         "HOME": str(home),
         "PATH": f"{folder / '.venv' / 'bin'}{os.pathsep}{os.environ['PATH']}",
         "ROS_DOMAIN_ID": free_domain(),
         "TMPDIR": str(top),
     }
+    environment.pop("PYTHONPATH", None)
     clone = Clone(folder, environment)
-    install = f"{sys.executable} -m pip --python .venv/bin/python install -q --no-deps -e ."
-    done = clone.run(install)
+    pip = f"{sys.executable} -m pip --python .venv/bin/python"
+    done = clone.run(f"{pip} install -q --no-deps -e .")
     if "No matching distribution found for setuptools" in done.stderr:
         pytest.skip("needs a package index, for setuptools")
     assert done.returncode == 0, done.stderr
@@ -246,7 +256,7 @@ def publishing(bag: Path) -> Iterator[list[int]]:
     published: list[int] = []
     ended = threading.Event()
     recorded = [message for topic, _, _, message in messages_of(bag) if topic == "/joint_states"]
-    stamps = [10**9 * each.header.stamp.sec + each.header.stamp.nanosec for each in recorded]
+    stamps = [time_ns(each.header.stamp) for each in recorded]
     publisher = client.node.create_publisher(JointState, "/joint_states", STREAM)
 
     def publish() -> None:

@@ -82,8 +82,9 @@ class Live:
 
     def node(self, name: str) -> int:
         """Process of a node."""
-        (found,) = (pid for pid, words in self.alive().items() if f"nodes.{name} " in words)
-        return found
+        module = f"nodes.{name} "
+        found = [pid for pid, words in self.alive().items() if module in words]
+        return found[0]
 
     def end(self, number: int) -> int:
         """Ask for its end; the exit code."""
@@ -114,8 +115,10 @@ class Arm:
 
     def at_rest(self) -> bool:
         """Whether no motor has current."""
-        self.client.motors.clear()
-        return wait_for(lambda: bool(self.client.motors)) and not any(self.client.motors[-1].effort)
+        motors = self.client.motors
+        motors.clear()
+        assert wait_for(lambda: bool(motors))
+        return not any(motors[-1].effort)
 
     def begin_push(self) -> None:
         """One that goes on until something ends it."""
@@ -251,7 +254,8 @@ def test_a_call_that_is_interrupted_is_cancelled(arm: Arm, live: Live) -> None:
     client = arm.client
     assert client.set("/identifier", "payload_sequence", arm.push_file(20.0)).successful
     words = [*PROPRIO, "call", "calibrate_payload"]
-    with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as call:
+    pipes: dict[str, Any] = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+    with subprocess.Popen(words, text=True, **pipes) as call:
         client.wait_for_phase("probe")
         assert wait_for(lambda: abs(client.motor(ELBOW) - PUSH_A) < 0.01)
         call.send_signal(signal.SIGINT)
