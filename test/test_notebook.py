@@ -13,21 +13,25 @@ def test_the_first_notebook() -> None:
     found = notebook.executed(notebook.SCRIPT.read_text(encoding="utf-8"))
     text = [cell for cell in found if cell.markdown]
     shown = [cell for cell in found if not cell.markdown and cell.plain]
-    assert len(text) >= 6 and "first notebook" in text[0].source
+    assert len(text) >= 6
+    assert "first notebook" in text[0].source
     checks, calibration, drives, ball, fit, open_arm, stuck, reasons, plans = shown
     assert (
         "3 bags, 2 of 3 runs usable" in checks.html
         and "not usable: joint3 moved only" in checks.html
     )
-    assert ">accepted<" in calibration.html and all("<svg" in cell.svg for cell in (drives, fit))
+    assert ">accepted<" in calibration.html
+    assert all("<svg" in cell.svg for cell in (drives, fit))
     assert (
         ">accepted<" in ball.html
         and ">49.1 g<" in ball.html
         and "49.1 g, and between" in fit.printed
     )
     for refusal in (open_arm, stuck):
-        assert "not identifiable" in refusal.html and "What to do: push" in refusal.html
-    assert reasons.plain == "(True, ['stuck'])" and plans.html.count("<tr>") == 4
+        assert "not identifiable" in refusal.html
+        assert "What to do: push" in refusal.html
+    assert reasons.plain == "(True, ['stuck'])"
+    assert plans.html.count("<tr>") == 4
     words = notebook.page(found)
     assert str(notebook.SCRIPT.parents[1]) not in words, "no path of a machine"
     kept = json.loads(notebook.notebook(found))

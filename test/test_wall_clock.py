@@ -144,5 +144,6 @@ def test_both_are_found_where_they_are() -> None:
     ):
         assert looks_at_the_clock(ast.parse(line)), line
     again = "for _ in range(3):\n    answer = call()\n    if answer.success:\n        break\n"
-    assert tries_again(ast.parse(again)) and tries_again(ast.parse("any(well() for _ in range(3))"))
+    assert tries_again(ast.parse(again))
+    assert tries_again(ast.parse("any(well() for _ in range(3))"))
     assert not tries_again(ast.parse("for _ in range(3):\n    step()\n"))

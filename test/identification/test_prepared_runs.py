@@ -96,7 +96,9 @@ def test_a_fast_sample_counts_where_the_motor_reports_the_commanded_current(robo
         ),
         KnownLoad(),
     )
-    assert told.cut_reason == "" and told.used > cut.used and not told.limited
+    assert told.cut_reason == ""
+    assert told.used > cut.used
+    assert not told.limited
     anyway = prepare_run(robot, run, KnownLoad(), past_fast=True)
     assert anyway.used == told.used and anyway.limited
 
@@ -145,4 +147,5 @@ def test_what_the_hand_weighs_at_rest(robot: Robot) -> None:
     assert abs(run.weight_at_rest(run.coefficients.per_kg(KnownLoad().facts))) == pytest.approx(
         gravity * away, rel=1e-6
     )
-    assert run.torque_stds.shape == (3,) and np.all(run.torque_stds >= 0.0)
+    assert run.torque_stds.shape == (3,)
+    assert np.all(run.torque_stds >= 0.0)

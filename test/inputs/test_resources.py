@@ -86,7 +86,8 @@ def test_a_new_file_has_the_mode_that_the_umask_leaves(
         write_in_one_step(tmp_path / "page.html", "text", "--report")
     finally:
         os.umask(before)
-    assert mode_of(tmp_path / "page.html") == mode and os.listdir(tmp_path) == ["page.html"]
+    assert mode_of(tmp_path / "page.html") == mode
+    assert os.listdir(tmp_path) == ["page.html"]
 
 
 def test_a_replaced_file_keeps_its_mode_and_a_link_its_place(tmp_path: Path) -> None:
@@ -96,7 +97,9 @@ def test_a_replaced_file_keeps_its_mode_and_a_link_its_place(tmp_path: Path) -> 
     page.chmod(0o640)
     link.symlink_to(page)
     write_in_one_step(link, "new", "--report")
-    assert link.is_symlink() and page.read_text() == "new" and mode_of(page) == 0o640
+    assert link.is_symlink()
+    assert page.read_text() == "new"
+    assert mode_of(page) == 0o640
 
 
 def test_nothing_but_a_file_is_replaced(tmp_path: Path) -> None:
@@ -107,7 +110,8 @@ def test_nothing_but_a_file_is_replaced(tmp_path: Path) -> None:
         write_in_one_step(pipe, "nobody reads", "--report")
     reader = os.open(pipe, os.O_RDONLY | os.O_NONBLOCK)
     write_in_one_step(pipe, "some text", "--report")
-    assert os.read(reader, 100) == b"some text" and stat.S_ISFIFO(pipe.stat().st_mode)
+    assert os.read(reader, 100) == b"some text"
+    assert stat.S_ISFIFO(pipe.stat().st_mode)
     os.close(reader)
     with pytest.raises(ConfigurationError, match="directory"):
         write_in_one_step(tmp_path, "text", "--report")

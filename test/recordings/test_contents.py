@@ -26,7 +26,8 @@ def test_parts_cover_a_recording(tmp_path: Path, storage: str) -> None:
     whole = read(path)
     most = len(whole.joints.times_ns) // 3
     spans = parts_of(path, most)
-    assert len(spans) > 2 and all(end == begin for (_, end), (begin, _) in pairwise(spans))
+    assert len(spans) > 2
+    assert all(end == begin for (_, end), (begin, _) in pairwise(spans))
     parts = [read(path, span=span, states_only=True).joints for span in spans]
     assert max(len(part.times_ns) for part in parts) <= most
     assert np.array_equal(np.concatenate([part.times_ns for part in parts]), whole.joints.times_ns)

@@ -38,7 +38,9 @@ def test_everything_is_on_the_page(estimate: CalibrationEstimate, tmp_path: Path
         assert row.label in words
     for plan in estimate.advice:
         assert plan.reason in words
-    assert "proprio calibrate <bag>" in words and "one & two" in words and "accepted" in words
+    assert "proprio calibrate <bag>" in words
+    assert "one & two" in words
+    assert "accepted" in words
     rounded = re.findall(r">(-?[\d.]+) ± ([\d.]+)<", path.read_text())
     assert len(rounded) == 2 * len(estimate.unknowns)
     for value, error in rounded:
@@ -52,7 +54,8 @@ def test_names_are_escaped(estimate: CalibrationEstimate, tmp_path: Path) -> Non
     evil = replace(estimate, robot="<script>alert(1)</script>", reasons=("a < b & c",))
     write_calibration_report(evil, tmp_path / "page.html")
     _, words = read(tmp_path / "page.html")
-    assert "a < b & c" in words and "<script>alert(1)</script>" in words
+    assert "a < b & c" in words
+    assert "<script>alert(1)</script>" in words
 
 
 def test_a_calibration_that_is_none_has_a_page_too(tmp_path: Path) -> None:
@@ -61,7 +64,9 @@ def test_a_calibration_that_is_none_has_a_page_too(tmp_path: Path) -> None:
     )
     write_calibration_report(none, tmp_path / "page.html")
     words = read(tmp_path / "page.html")[1]
-    assert "not identifiable" in words and "no run can be used" in words and "it stuck" in words
+    assert "not identifiable" in words
+    assert "no run can be used" in words
+    assert "it stuck" in words
 
 
 def test_motions_that_the_others_weigh_are_listed_with_their_loads(tmp_path: Path) -> None:

@@ -250,8 +250,10 @@ def test_a_liquid_in_another_cylinder_than_was_stated_has_no_fill(
         baseline=baseline,
     )
     found = replay(sorted(folder.glob("run_*")), options)
-    assert found.verdict.value == "accepted" and found.value("liquid_inside").value > 0.95
-    assert found.value("fill").value is None and "contents.radius" in found.value("fill").reason
+    assert found.verdict.value == "accepted"
+    assert found.value("liquid_inside").value > 0.95
+    assert found.value("fill").value is None
+    assert "contents.radius" in found.value("fill").reason
 
 
 def test_a_virtual_hand_can_hold_it() -> None:
@@ -347,7 +349,8 @@ def test_the_virtual_arm_s_liquid_is_weighed_and_an_empty_one_is_empty() -> None
     assert found.verdict.value == "accepted", found.reasons
     mass = found.value("contents_mass")
     liquid = found.value("liquid_inside").value
-    assert mass.ci95[0] < 0.15 < mass.ci95[1] and 1.96 * mass.std < 0.02
+    assert mass.ci95[0] < 0.15 < mass.ci95[1]
+    assert 1.96 * mass.std < 0.02
     assert isinstance(liquid, float) and liquid > 0.95
     without = find_contents(robot, empty, FACTS, empty)
     assert (
@@ -376,5 +379,7 @@ def test_a_heavy_dummy_is_no_liquid(bags: Path) -> None:
     folder = bags / "contents_rigid_r45_h59"
     truth = json.loads((folder / "truth.json").read_text())
     found = contents.answer(folder, truth)
-    assert found.verdict == "accepted" and found.said is None and found.number("rigid_inside") > 0.5
+    assert found.verdict == "accepted"
+    assert found.said is None
+    assert found.number("rigid_inside") > 0.5
     assert found.holds("contents_mass", truth["contents"]["mass"])

@@ -154,7 +154,8 @@ def test_runs_of_one_servo_are_taken_together(monkeypatch: pytest.MonkeyPatch) -
     of_shoulder = found[len(found) // 2]  # the first joint of the second sweep
     stiffness, lag_s = np.exp(held_by_servos.SERVO + held_by_servos.SPREADS[:2] * of_shoulder[:2])
     assert len(of_shoulder) == 6
-    assert stiffness == pytest.approx(STIFFNESS, rel=0.1) and lag_s == pytest.approx(LAG_S, rel=0.2)
+    assert stiffness == pytest.approx(STIFFNESS, rel=0.1)
+    assert lag_s == pytest.approx(LAG_S, rel=0.2)
 
 
 def test_gradients_are_those_of_finite_differences() -> None:

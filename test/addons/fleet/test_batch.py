@@ -153,10 +153,12 @@ def test_what_lerobot_writes_is_read(fleet: Path) -> None:
     """Three episodes of the fixture's arm with nothing, 50 g and 100 g, written by lerobot 0.4.4 (`LeRobotDataset.add_frame`)."""
     written = Path(__file__).parent / "lerobot_0_4_4"
     data = open_data_set(written)
-    assert data.version == "v3.0" and [each.length for each in data.episodes.values()] == [600] * 3
+    assert data.version == "v3.0"
+    assert [each.length for each in data.episodes.values()] == [600] * 3
     for n, mass in enumerate(MASSES_KG):
         value = replay(f"{written}#{n}", asked(fleet)).values[0]
-        assert isinstance(value.value, float) and abs(value.value - mass) < 0.002
+        assert isinstance(value.value, float)
+        assert abs(value.value - mass) < 0.002
         assert value.ci95[0] - 0.001 <= mass <= value.ci95[1] + 0.001
     _, (usable, missing) = check_bags(
         [f"{written}#0", f"{written}#7"],
@@ -167,7 +169,8 @@ def test_what_lerobot_writes_is_read(fleet: Path) -> None:
         and usable.state_topic == "observation.state"
         and usable.duration_s == pytest.approx(11.98)
     )
-    assert missing.usable == 0 and "no such episode" in missing.problem
+    assert missing.usable == 0
+    assert "no such episode" in missing.problem
     with pytest.raises(
         RecordingError, match=r"a LeRobot data set\? Name an episode, 'lerobot_0_4_4#0', or ask all"
     ):
@@ -184,7 +187,8 @@ def test_a_span_is_that_part_of_the_whole(fleet: Path, source: str) -> None:
         1
     ].motions
     rows = (whole.times_s >= 3.0 - 1e-9) & (whole.times_s < 9.0 - 1e-9)
-    assert 299 <= len(part.times_s) <= 301 and np.array_equal(part.position, whole.position[rows])
+    assert 299 <= len(part.times_s) <= 301
+    assert np.array_equal(part.position, whole.position[rows])
     assert np.array_equal(part.current_A, whole.current_A[rows])
     behind = replace(
         prepared,
@@ -224,11 +228,15 @@ def test_rows_are_those_of_replay_bit_for_bit_whatever_the_engine(
     )
     rows = table(tmp_path)
     outcome.plot().savefig(tmp_path / "verdicts.svg")
-    assert "<td" in outcome._repr_html_() and "batch.html" in outcome._repr_html_()
-    assert outcome.episodes == len(rows) == 10 and outcome.verdicts == {"accepted": 9, "failed": 1}
+    assert "<td" in outcome._repr_html_()
+    assert "batch.html" in outcome._repr_html_()
+    assert outcome.episodes == len(rows) == 10
+    assert outcome.verdicts == {"accepted": 9, "failed": 1}
     (failed,) = [row for row in rows if row["kind"] == "failed"]
-    assert failed["episode"] == "bags/cut" and "the motion lasts 0.3 s" in failed["reasons"][0]
-    assert failed["value"] is None and failed["reason_codes"] == ["unreadable"]
+    assert failed["episode"] == "bags/cut"
+    assert "the motion lasts 0.3 s" in failed["reasons"][0]
+    assert failed["value"] is None
+    assert failed["reason_codes"] == ["unreadable"]
     for row in rows:
         if row is failed:
             continue
@@ -284,7 +292,9 @@ def test_a_killed_job_goes_on_with_no_row_twice_and_none_lost(fleet: Path, tmp_p
     os.truncate(first, first.stat().st_size // 2)  # a crash of the machine
     (second.parent / f".{second.name}.1.tmp").write_bytes(b"PAR1")  # a kill while writing
     done = store.done()
-    assert not first.exists() and len(done) < 5 and not list(part.rglob("*.tmp"))
+    assert not first.exists()
+    assert len(done) < 5
+    assert not list(part.rglob("*.tmp"))
     store.close()
     outcome = run_batch(
         [fleet / "data"],
@@ -293,7 +303,8 @@ def test_a_killed_job_goes_on_with_no_row_twice_and_none_lost(fleet: Path, tmp_p
         lambda words: None,
         processes=1,
     )
-    assert outcome.before == len(done) and same(table(part), table(whole))
+    assert outcome.before == len(done)
+    assert same(table(part), table(whole))
     # once more: nothing is left to do, and no process is started
     assert (
         run_batch(
@@ -380,7 +391,8 @@ def test_an_episode_that_kills_its_process_is_a_row(
     )
     assert outcome.verdicts == {"accepted": 2, "failed": 2}
     (row,) = [row for row in table(tmp_path) if row["reason_codes"] == ["process_died"]]
-    assert row["episode"] == "1" and "died 2 times" in row["reasons"][0]
+    assert row["episode"] == "1"
+    assert "died 2 times" in row["reasons"][0]
 
 
 @pytest.mark.parametrize(
@@ -405,19 +417,23 @@ def test_what_the_computer_could_not_do_is_no_row_and_is_asked_again(
     with monkeypatch.context() as patch:
         patch.setattr(rows_module, "read_for", full)
         (row,) = rows_of(first, job)
-        assert row["reason_codes"] == ["machine"] and lasting([row]) == []
+        assert row["reason_codes"] == ["machine"]
+        assert lasting([row]) == []
         done = local.compute(
             [first, second],
             job,
             str(tmp_path),
         )
-    assert done.failed == 0 and len(done.machine) == 1 and not list(tmp_path.iterdir())
+    assert done.failed == 0
+    assert len(done.machine) == 1
+    assert not list(tmp_path.iterdir())
     assert local.compute([first, second], job, str(tmp_path)) == local.Done(0)
     assert len(list(tmp_path.iterdir())) == 1
     with monkeypatch.context() as patch:
         patch.setattr(rows_module, "read_for", lambda *_: 1 / 0)
         (row,) = rows_of(first, job)  # and what an episode holds is
-        assert row["reason_codes"] == ["unexpected"] and lasting([row]) == [row]
+        assert row["reason_codes"] == ["unexpected"]
+        assert lasting([row]) == [row]
 
 
 def test_rows_that_cannot_be_written_are_asked_again(fleet: Path, tmp_path: Path) -> None:
@@ -461,7 +477,8 @@ def test_a_batch_says_what_is_undone_and_does_it_the_next_time(
     monkeypatch.setattr("proprio_ros.addons.fleet.job.run_local", lambda *_: None)
     assert main(words) == 2
     answer = json.loads(capsys.readouterr().out)
-    assert answer["undone"] == answer["episodes"] == 4 and answer["verdicts"] == {}
+    assert answer["undone"] == answer["episodes"] == 4
+    assert answer["verdicts"] == {}
 
 
 def test_ctrl_c_is_said_once_and_leaves_nothing(fleet: Path, tmp_path: Path) -> None:
@@ -505,7 +522,8 @@ def test_ray_gives_the_same_rows(fleet: Path, tmp_path: Path) -> None:
     run_batch(
         [fleet / "data"], Job(asked(fleet)), tmp_path / "local", lambda words: None, processes=1
     )
-    assert one.episodes == 10 and same(table(tmp_path / "ray"), table(tmp_path / "local"))
+    assert one.episodes == 10
+    assert same(table(tmp_path / "ray"), table(tmp_path / "local"))
 
 
 @pytest.mark.long
@@ -572,8 +590,10 @@ def test_what_the_gripper_did_tells_what_was_put_down_from_what_fell(fleet: Path
             atol=0.6,
         )
         held = found[1]
-        assert held.ci95_kg[0] < 0.15 < held.ci95_kg[1] and held.gripper is not None
-        assert abs(held.gripper - 0.01) < 0.003 and held.samples == pytest.approx(400, abs=40)
+        assert held.ci95_kg[0] < 0.15 < held.ci95_kg[1]
+        assert held.gripper is not None
+        assert abs(held.gripper - 0.01) < 0.003
+        assert held.samples == pytest.approx(400, abs=40)
 
 
 @pytest.mark.long
@@ -595,7 +615,8 @@ def test_a_long_motion_is_answered_in_parts_that_replay_answers_alike(
     for episode in episodes_of([tmp_path / "data"]):
         rows = rows_of(episode, job)
         parts = [row for row in rows if row["kind"] == "part"]
-        assert len(parts) == 3 and sum(row["samples"] for row in parts) == len(motion.times_s)
+        assert len(parts) == 3
+        assert sum(row["samples"] for row in parts) == len(motion.times_s)
         assert [row["segment"] for row in rows] == list(range(len(rows))) and rows[0][
             "segments"
         ] == len(rows)
@@ -653,7 +674,8 @@ def test_a_recording_of_pushes_is_not_cut(fleet: Path, monkeypatch: pytest.Monke
     (episode,) = episodes_of([bag / "bag_mcap"])
     (row,) = rows_of(episode, Job())
     value = replay(episode.path).values[0]
-    assert row["kind"] == "episode" and (row["value"], row["std"]) == (value.value, value.std)
+    assert row["kind"] == "episode"
+    assert (row["value"], row["std"]) == (value.value, value.std)
 
 
 @pytest.mark.long
@@ -741,7 +763,8 @@ def test_an_arm_calibrates_itself_with_the_first_seconds_and_shows_its_drift(
     )
     assert any("8 of 9 episodes, whose hand is empty at first" in words for words in said)
     *rows, failed = table(out)
-    assert failed["kind"] == "failed" and named(failed).endswith("bags/cut --span 6:")
+    assert failed["kind"] == "failed"
+    assert named(failed).endswith("bags/cut --span 6:")
     assert [row["start_s"] for row in rows] == [6.0] * 8
     held = [
         row["low"] - 0.001 <= mass <= row["high"] + 0.001
@@ -755,7 +778,8 @@ def test_an_arm_calibrates_itself_with_the_first_seconds_and_shows_its_drift(
     assert (rows[3]["value"], rows[3]["std"]) == (value.value, value.std)
     with open(out / "drift.csv") as stream:
         written = list(csv.DictReader(stream))
-    assert len(written) == 4 * len(FOUR.joints) and all(row["episodes"] == "2" for row in written)
+    assert len(written) == 4 * len(FOUR.joints)
+    assert all(row["episodes"] == "2" for row in written)
     assert [row["period"] for row in written[:: len(FOUR.joints)]] == sorted(
         {row["period"] for row in written}
     )
@@ -820,7 +844,8 @@ def test_drift_shows_itself_in_python(tmp_path: Path) -> None:
     (alone,) = drift(bags[:1], **asked)
     assert alone.name == found[0].name
     one = drift(bags[:1], **asked)
-    assert "no two periods" in one._repr_html_() and one.plot().axes
+    assert "no two periods" in one._repr_html_()
+    assert one.plot().axes
     with pytest.raises(RecordingError, match="cut"):
         drift(tmp_path / "bags" / "cut", **asked)
 
@@ -867,7 +892,8 @@ def test_an_arm_calibrates_itself_with_the_episodes_that_are_known_to_be_empty(
         said.append,
         **given,
     )
-    assert outcome.verdicts == {"accepted": 3} and any("2 of 2 episodes" in words for words in said)
+    assert outcome.verdicts == {"accepted": 3}
+    assert any("2 of 2 episodes" in words for words in said)
     weighed = {row["episode_index"]: row for row in table(tmp_path / "out")}
     assert (
         weighed[1]["low"] < 0.1 < weighed[1]["high"]
@@ -943,4 +969,5 @@ def test_the_commands_object(
         said,
         json.loads(resource("schema", "output").read_text()),
     )
-    assert said["episodes"] == 2 and said["verdicts"] == {"accepted": 2}
+    assert said["episodes"] == 2
+    assert said["verdicts"] == {"accepted": 2}

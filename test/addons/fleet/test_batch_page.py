@@ -177,7 +177,8 @@ def test_nothing_is_wider_than_the_window(page: Path, look: Look, width: int) ->
         and seen["beyond"] == []
         and seen["clipped"] == 0
     )
-    assert seen["title"] == "Many recordings" and seen["details"] == 1
+    assert seen["title"] == "Many recordings"
+    assert seen["details"] == 1
     assert seen["bars"][0] > 0.8 * min(width, 900) and min(seen["bars"]) > 5.0, "bars have a length"
 
 
@@ -193,10 +194,14 @@ def test_dark_and_on_paper(page: Path, look: Look) -> None:
         )
         for more in ((), (DARK,))
     )
-    assert brightness(light["paper"]) > 0.95 and brightness(dark["paper"]) < 0.15
-    assert max(map(brightness, light["inks"])) < 0.7 and min(map(brightness, dark["inks"])) > 0.4
+    assert brightness(light["paper"]) > 0.95
+    assert brightness(dark["paper"]) < 0.15
+    assert max(map(brightness, light["inks"])) < 0.7
+    assert min(map(brightness, dark["inks"])) > 0.4
     paper = opened(look, page, MEASURE, 680, printed=True)
-    assert paper["clipped"] == 0 and paper["scroll"] <= 680 and paper["beyond"] == []
+    assert paper["clipped"] == 0
+    assert paper["scroll"] <= 680
+    assert paper["beyond"] == []
 
 
 @pytest.mark.long
@@ -227,7 +232,8 @@ type("<b>"); found.none = names().length;
 return found;
 """)  # fmt: skip
     rows = rows_like(COUNT)
-    assert seen["all"] == f"{COUNT} of {COUNT}" and (seen["first"], seen["more"]) == (100, 200)
+    assert seen["all"] == f"{COUNT} of {COUNT}"
+    assert (seen["first"], seen["more"]) == (100, 200)
     assert seen["elements"] < 3000, "a page with all rows in it would take seconds to show"
     stuck = [row for row in rows if row["reason_codes"] == ["stuck"]]
     of_one = sum(row["source"] == SOURCES[0] for row in stuck)
@@ -235,7 +241,8 @@ return found;
         "not identifiable: stuck"
     }
     far = [row for row in rows if row["verdict"] == "accepted" and row["value"] > 0.6]
-    assert seen["far"] == f"{len(far)} of {COUNT}" and len(far) > 5
+    assert seen["far"] == f"{len(far)} of {COUNT}"
+    assert len(far) > 5
     falling = [float(value) for value in seen["falling"]]
     assert falling == sorted(falling, reverse=True) and falling[0] == pytest.approx(
         1e3 * max(r["value"] for r in far), abs=0.1
@@ -283,7 +290,8 @@ return { failed, far, detail, shown: names().map((each) => each.textContent), va
     )
     highest = max((row for row in rows_like(COUNT) if seen["figure"].startswith(row["source"].split("/")[-1])
                    and row["verdict"] == "accepted"), key=lambda row: row["value"])  # fmt: skip
-    assert seen["shown"] == [highest["episode"]] and seen["open"] == 1
+    assert seen["shown"] == [highest["episode"]]
+    assert seen["open"] == 1
     assert float(seen["value"][0]) == pytest.approx(1e3 * highest["value"], abs=0.1)
     assert "days since 2026-05-28 20:" in seen["axis"]
 

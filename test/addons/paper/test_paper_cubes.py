@@ -168,7 +168,8 @@ def test_explicit_squeezes_identified_by_the_quasi_static_solver(
         robot, runs, BlockFacts(np.full(3, EDGE)), SqueezeOptions(starts_Pa=starts)
     )
     assert estimate.verdict is Verdict.ACCEPTED, estimate.reasons
-    assert estimate.solver is not None and estimate.solver.starts_agreeing == 5
+    assert estimate.solver is not None
+    assert estimate.solver.starts_agreeing == 5
     told = estimate.value("youngs_modulus")
     told_ratio = estimate.value("poissons_ratio")
     # by how much the solvers differ, which no interval knows

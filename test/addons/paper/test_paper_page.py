@@ -70,7 +70,8 @@ def test_a_restart_computes_nothing_twice(
     )
     assert sorted(toys) == [("first", 0), ("first", 1), ("first", 2), ("second", 0), ("second", 1)]
     assert [rows["rows"][0]["square"] for rows in found["first"]] == [0, 1, 4]
-    assert told[0].endswith("0 of them done before") and told[-1].startswith("5 of 5: ")
+    assert told[0].endswith("0 of them done before")
+    assert told[-1].startswith("5 of 5: ")
     # stopped while it wrote: that file is of no use, the others are
     (tmp_path / "rows" / "first_001.json").write_text('{"experiment": "fir')
     del toys[:]
@@ -173,7 +174,9 @@ def test_what_is_not_installed_is_said_once_by_several_processes_that_end(tmp_pa
         [sys.executable, "-m", "proprio_ros.cli", *words],
         env={**os.environ, "PYTHONPATH": paths}, cwd=DOCS.parent, capture_output=True, text=True,
     )  # fmt: skip
-    assert done.returncode == 2 and done.stderr.count("needs MuJoCo") == 1 and done.stdout == ""
+    assert done.returncode == 2
+    assert done.stderr.count("needs MuJoCo") == 1
+    assert done.stdout == ""
 
 
 def test_seeds_come_one_after_the_other(toys: list[tuple[str, int]]) -> None:
@@ -215,7 +218,8 @@ def test_the_page_says_where_its_recordings_come_from_and_shows_what_was_run(
     assert words.index("There is no arm here. The recordings come from MuJoCo") < words.index(
         "Table I"
     )
-    assert quoted.TITLE in words and "proprio paper --out there" in words
+    assert quoted.TITLE in words
+    assert "proprio paper --out there" in words
     assert (
         words.count("Table II: first guesses") == 1
         and "Figure 4" not in words
@@ -282,7 +286,8 @@ def test_the_documentation_takes_tables_and_figures_from_the_page() -> None:
     parts = page.paper_parts(synthetic(), 2)
     words, drawn = as_markdown(parts)
     assert words.count("<table") == sum(part.count("<table") for part in parts)
-    assert list(drawn) == ["table-1_1.svg"] and "](figures/table-1_1.svg)" in words
+    assert list(drawn) == ["table-1_1.svg"]
+    assert "](figures/table-1_1.svg)" in words
     picture = drawn["table-1_1.svg"]
     assert (
         picture.startswith('<svg xmlns="http://www.w3.org/2000/svg" ') and "<script" not in picture
@@ -331,7 +336,9 @@ def test_tree_parzen_finds_a_valley() -> None:
         np.array([-1.5, 1.5]),
         np.random.default_rng(1),
     )
-    assert len(asked) == 150 and (np.array(asked) >= low).all() and (np.array(asked) <= high).all()
+    assert len(asked) == 150
+    assert (np.array(asked) >= low).all()
+    assert (np.array(asked) <= high).all()
     np.testing.assert_allclose(
         best,
         [0.7, -0.2],
@@ -366,7 +373,8 @@ def test_the_command_on_one_seed(
     starts = [row for row in kept["starts_000.json"] if row["calibrated"]]
     # wherever ours begins it ends at one mass, near the truth; the short schedule stops on its way
     ours = [row["value"] for row in starts if row["way"] == "ours"]
-    assert len(ours) == len(cases.STARTS_KG) and np.ptp(ours) < 1e-4
+    assert len(ours) == len(cases.STARTS_KG)
+    assert np.ptp(ours) < 1e-4
     assert abs(ours[0] - 0.05) < 0.005
     short = [row["value"] for row in starts if row["way"] == "paper, 15 iterations"]
     assert np.ptp(short[:-1]) > 0.01 and short[-1] > 4.5
@@ -387,4 +395,6 @@ def test_the_command_on_one_seed(
     assert "2 of them done before" in capsys.readouterr().err
     assert {path: path.stat().st_mtime_ns for path in (tmp_path / "rows").iterdir()} == before
     _, words = read(tmp_path / "paper.html")
-    assert "Table II" in words and "What the paper leaves out" in words and "Table I:" not in words
+    assert "Table II" in words
+    assert "What the paper leaves out" in words
+    assert "Table I:" not in words
