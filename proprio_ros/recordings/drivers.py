@@ -156,6 +156,12 @@ def _columns(value: Any) -> Columns:
     return columns
 
 
+def columns_files(recordings: Iterable[str | Path]) -> tuple[str, ...]:
+    """The files that say which column is what, beside any of these recordings, sorted."""
+    beside = {Path(recording).parent / COLUMNS_FILE for recording in recordings}
+    return tuple(sorted(str(path) for path in beside if path.is_file()))
+
+
 def columns_beside(table: Path) -> dict[str, Any]:
     """What ``columns.yaml`` in a table's folder says of its columns, by key; nothing where there is none.
 

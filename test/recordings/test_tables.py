@@ -33,6 +33,7 @@ from proprio_ros.cli import main
 from proprio_ros.errors import ConfigurationError, ProprioError, RecordingError
 from proprio_ros.pipeline.check import check_bags
 from proprio_ros.pipeline.request import Options, read_request
+from proprio_ros.recordings.drivers import columns_files
 from proprio_ros.recordings.effort import Effort
 from proprio_ros.recordings.headers import Kind, header_of
 from proprio_ros.recordings.read_options import ReadOptions
@@ -653,6 +654,19 @@ def test_a_batch_finds_tables_of_recordings_in_folders(tmp_path: Path) -> None:
     assert found.path == str(table) and found.index is None
     (row,) = rows_of(found, Job(options=Options()))
     assert "the motion lasts 0.6 s" in " ".join(row["reasons"])  # so it was read
+
+
+def test_rows_of_a_batch_follow_from_the_columns_file(tmp_path: Path) -> None:
+    table = plain_table(tmp_path / "log.csv", elbow(), position="q{n}")
+    assert columns_files([table]) == ()
+    job = Job(Options())
+    beside = tmp_path / "columns.yaml"
+    beside.write_text("position_unit: deg\n")
+    (named,) = columns_files([table, tmp_path / "other.csv"])
+    one = replace(job, columns_files=(named,)).fingerprint()
+    beside.write_text("position_unit: rad\n")
+    other = replace(job, columns_files=(named,)).fingerprint()
+    assert len({job.fingerprint(), one, other}) == 3
 
 
 def test_a_name_says_that_it_is_a_table(tmp_path: Path) -> None:

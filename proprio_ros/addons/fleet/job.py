@@ -31,7 +31,7 @@ from proprio_ros.pipeline.calibrate import calibrate_from_bags
 from proprio_ros.pipeline.replay import replay, write_report
 from proprio_ros.pipeline.request import Options, request_of
 from proprio_ros.recordings.datasets import marked, open_data_set
-from proprio_ros.recordings.drivers import load_driver
+from proprio_ros.recordings.drivers import columns_files, load_driver
 from proprio_ros.recordings.motions import SHORTEST_S
 from proprio_ros.recordings.text import is_text_recording
 from proprio_ros.report import bars_figure, small_table
@@ -115,6 +115,7 @@ def run_batch(
     job = replace(job, options=_located(job.options))
     episodes = episodes_of(sources)
     _check_units(episodes, job.options)
+    job = replace(job, columns_files=columns_files(each.path for each in episodes))
     empty_hand = EmptyHand.of(episodes, job.options, empty, empty_first_s)
     job = empty_hand.calibrating(job, Path(out), tell)
     using = Engine(engine, processes or processors(), address, chunk, bars)

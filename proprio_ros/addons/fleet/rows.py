@@ -56,23 +56,24 @@ class Job:
     # for so long from its first joint state on the hand is known to be empty in every episode: what is asked is what it
     # holds later [s]
     empty_first_s: float = 0.0
+    columns_files: tuple[str, ...] = ()  # that say what the columns of tables are
 
     def fingerprint(self) -> str:
         """Of everything that the rows follow from besides the episodes: options, the files that they name, this version."""
         found = hashlib.sha256(self.as_text().encode())
         options = self.options
-        for named in (options.calibration, options.robot, options.driver):
+        named_by_options = (options.calibration, options.robot, options.driver)
+        for named in (*named_by_options, *self.columns_files):
             if named is not None and Path(named).is_file():
                 found.update(b"\0" + Path(named).read_bytes())
         return found.hexdigest()[:16]
 
     def as_text(self) -> str:
         """Options and version as JSON."""
-        return json.dumps(
-            {"version": __version__, **asdict(self)},
-            default=str,
-            sort_keys=True,
-        )
+        stated = asdict(self)
+        if not self.columns_files:
+            del stated["columns_files"]
+        return json.dumps({"version": __version__, **stated}, default=str, sort_keys=True)
 
 
 @one_blas_thread
