@@ -23,6 +23,7 @@ from proprio_ros.recordings.headers import (
     header_of,
     plain,
 )
+from proprio_ros.recordings.joint_names import fitted_names
 from proprio_ros.recordings.read_options import EFFORT, GOAL, POSITION, Columns, ReadOptions
 
 BESIDE = (Kind.VELOCITY, Kind.EFFORT, Kind.COMMAND, Kind.GOAL)
@@ -83,6 +84,8 @@ class _Stated:
     columns: Columns
     options: ReadOptions
     advice: str  # how to state what nobody says
+    # names of joints that are the robot's but for a prefix or a suffix
+    others: tuple[str, ...] = ()
 
     def error(self, words: str) -> RecordingError:
         return RecordingError(words, self.path)
@@ -104,7 +107,8 @@ class _Stated:
         robot = dict.fromkeys([*self.options.joint_order, *self.options.limits])
         own = {plain(name): published(name) for name in robot}
         theirs = {plain(published(name)): published(name) for name in robot}
-        return own | theirs | {plain(name): name for name in self.columns.joints}
+        stated = {plain(name): name for name in self.columns.joints}
+        return own | theirs | stated | {name: name for name in self.others}
 
 
 def layout_of(
@@ -126,6 +130,7 @@ def layout_of(
         RecordingError: There is no time or no position, two columns may be the same thing, or units contradict each other.
     """
     given = _Stated(path, tuple(map(header_of, headers)), columns, options, advice)
+    given = _with_other_names(given)
     time = _time(given)
     positions = _numbered_or_named(given, Kind.POSITION, _called(given, Kind.POSITION))
     if not positions:
@@ -178,6 +183,18 @@ def _time(given: _Stated) -> Column:
             f"{header.text}: unit {shortly(header.unknown_unit)} is not known; use s, ms, us or ns"
         )
     return Column(found[0], header, "")
+
+
+def _with_other_names(given: _Stated) -> _Stated:
+    """The same with names that differ from the robot's by a prefix or a suffix, where no position has a name of the robot's."""
+    headers = [header for _, header in _called(given, Kind.POSITION)]
+    names = [header.joint for header in headers if header.number is None and header.joint]
+    if any(header.number is not None or header.joint in given.known for header in headers):
+        return given
+    renamed = given.options.conventions.renamed(names)
+    fitted = fitted_names(given.path, renamed, given.options)
+    others = [name for name, ours in zip(names, renamed, strict=True) if ours in fitted.names]
+    return replace(given, others=tuple(others))
 
 
 def _called(given: _Stated, kind: Kind) -> list[tuple[int, Header]]:

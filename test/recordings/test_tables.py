@@ -456,6 +456,27 @@ def test_numbers_are_said_to_be_the_robots_order(tmp_path: Path) -> None:
     assert note.startswith("tau1 [Nm] .. tau5 [Nm] were read as joint1, joint2")
 
 
+def test_names_with_another_prefix_are_the_robots_as_in_a_bag(tmp_path: Path) -> None:
+    """And efforts count the other way round where that is stated."""
+    times_ns = elbow().times_ns
+    swing = np.sin(2e-9 * (times_ns - times_ns[0])[:, None] + np.arange(7))
+    joints = tuple(f"fer_joint{n}" for n in range(1, 8))
+    bag = tmp_path / "bag"
+    write_recording(bag, Recording("made", JointRecord(times_ns, joints, swing, None, swing), None))
+    headers = ["t [s]", *(f"{joint}_position [rad]" for joint in joints)]
+    headers += [f"{joint}_torque [Nm]" for joint in joints]
+    times = [decimals(int(time_ns)) for time_ns in times_ns]
+    table = written(tmp_path / "log.csv", headers, [times, *swing.T, *swing.T])
+    found = read(table, robot="panda")
+    same(read(bag, unit="N.m", robot="panda"), found)
+    assert any("other names than the robot's" in note for note in found.notes)
+    options = Options(robot="panda", effort_sign="-1")
+    with open_recording(table) as source:
+        turned = source.recording(read_request(options).reading.options)
+    assert turned.joints.effort is not None
+    np.testing.assert_array_equal(turned.joints.effort, -swing)
+
+
 def test_a_columns_file_says_which_column_is_what(tmp_path: Path) -> None:
     found = elbow()
     names = ["wann", *(f"Achse {n} Winkel" for n in range(1, 6)), *(f"M{n}" for n in range(1, 6))]
