@@ -141,13 +141,18 @@ def _invocation(action: argparse.Action) -> str:
 
 def _usage(name: str, command: argparse.ArgumentParser) -> str:
     actions = [action for action in command._actions if action.dest != "help"]
-    words = [
-        _invocation(a) if a.required and a.nargs != "*" else f"[{_invocation(a)}]" for a in actions
-    ]
+    words = [_in_short(action) for action in actions]
     return textwrap.fill(
         " ".join(["proprio", name, *(word.replace(" ", "\0") for word in words)]),
         width=100, subsequent_indent=" " * 8, break_long_words=False, break_on_hyphens=False,
     ).replace("\0", " ")  # fmt: skip
+
+
+def _in_short(action: argparse.Action) -> str:
+    """As a line of usage has it: what need not be there in brackets, of options without their value, which tables have."""
+    if action.required and action.nargs != "*":
+        return _invocation(action)
+    return f"[{action.option_strings[-1] if action.option_strings else _invocation(action)}]"
 
 
 def _option(action: argparse.Action) -> tuple[str, str, str]:

@@ -129,6 +129,16 @@ def test_tables_of_figures_are_those_of_the_results(path: Path) -> None:
     assert figures.filled(text) == text, "run python docs/generate.py figures"
 
 
+def test_the_first_pages_show_an_arm_in_motion_and_a_command() -> None:
+    begin, _, _ = page("index").partition("\n## ")
+    assert COMMANDS[0] in begin.splitlines()
+    assert "](moving.svg)" in begin
+    assert "](docs/pages/moving.svg)" in text_of(README)
+    picture = text_of(REPOSITORY / "docs" / "pages" / "moving.svg")
+    assert picture.count("<animateTransform ") == 3
+    assert len(picture.encode()) < 2_000_000
+
+
 def test_readme_has_a_table_for_two_minutes() -> None:
     blocks = figures.BLOCK.findall(text_of(README))
     assert [name for _, name, _ in blocks] == ["readme", "speed in short"]

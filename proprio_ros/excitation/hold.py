@@ -54,7 +54,7 @@ FILTER_AND_SAMPLE_S = 0.01
 # time constant of what is summed up, beside 1 / frequency, and altogether
 LOAD_S = 0.05
 LONGEST_LOAD_S = 1.0
-HAND_S = 0.3  # the same of what hangs at all joints as something in the hand would
+HAND_S = 0.3  # the same of what fits a weight in the hand at every joint
 # of what may be commanded, no more is summed up: a command that came late looks like a load
 UNKNOWN_SHARE = 0.2
 HARDEST_RAD_S2 = 20.0
@@ -312,7 +312,7 @@ class Hold:
         return far or (moves and not self._pushed)
 
     def _weigh(self) -> None:
-        """What hangs at all joints as something in the hand would, hangs in the hand, and pulls otherwise in another pose."""
+        """Takes effort that fits a weight in the hand at every joint for one, which pulls otherwise in another pose."""
         per_kg = self._dynamics.load.per_kg
         gravity = self._dynamics.load.gravity
         # friction, and with it what is not known, grows with what a joint can

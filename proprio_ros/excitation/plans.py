@@ -164,7 +164,7 @@ def load_sequence(
         name_or_path: One of `sequence_names`, the path of a YAML file, or the section itself as JSON, in braces. Those of `FIRST`
             are made from the URDF of an arm that has none of their joints.
         robot: The arm that is to make the runs.
-        held_kg: What is known to be in the hand; sequences that are made here push with as much more.
+        held_kg: What is known to be in the hand; pushes of sequences that are made here are stronger by what carries it.
 
     Raises:
         ConfigurationError: The file is missing or not readable, a key is unknown or missing, a value has the wrong type or
