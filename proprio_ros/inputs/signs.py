@@ -57,6 +57,8 @@ class SignForm(Form):
     """Of all joints, or joint by joint."""
 
     def read(self, value: Any) -> Signs:
+        if isinstance(value, Mapping) and not value:
+            raise FormError("names no joint; give 1 or -1, or a joint and its sign")
         if isinstance(value, Mapping):
             joints = {_JOINT.read(joint): _sign(sign) for joint, sign in value.items()}
             return Signs(None, joints)

@@ -42,6 +42,7 @@ def test_all_joints_or_joint_by_joint(stated: object, elbow: int, wrist: int) ->
         None,
         [1],
         {"a": "b"},
+        {},
     ],
 )
 def test_anything_else_is_refused(stated: object) -> None:

@@ -216,6 +216,7 @@ ALSO_WRONG: dict[str, list[Any]] = {
     **dict.fromkeys(TEXTS, WORDS),
     **{name: [None, 5, True, int, {}, {BAG: 0.1}] for name in ("bags", "baseline")},
     **{name: ["", 5, True, [], ["a"], int] for name in ("settings", "references")},
+    "effort_sign": ["", 0, 5, "up", "a=2", [], {}, {"a": 2}, {1: -1}, int],
     "masses": NO_NUMBERS,
     "count": [*NO_NUMBERS, [], -1, 0, 1.5],
     "seconds": [*NO_NUMBERS, [], -1.0],
