@@ -7,6 +7,7 @@ import re
 import signal
 import sys
 import threading
+import warnings
 from collections.abc import Callable, Sequence
 
 import rclpy
@@ -16,7 +17,7 @@ from rclpy.lifecycle import TransitionCallbackReturn
 from rclpy.signals import SignalHandlerOptions
 
 from proprio_ros import clock
-from proprio_ros.errors import ProprioError, one_line
+from proprio_ros.errors import ConfigurationError, ProprioError, one_line
 from proprio_ros.nodes import middleware
 from proprio_ros.nodes.managed_node import ManagedNode
 
@@ -60,6 +61,25 @@ def _said_by_rcl(error: RuntimeError) -> str:
     return words.removeprefix("failed to initialize rcl: ")
 
 
+def _made(make: Callable[[], ManagedNode]) -> ManagedNode:
+    """The node. Raises `ConfigurationError`: The middleware refuses one."""
+    try:
+        with warnings.catch_warnings():
+            # what a node that was refused could not tidy up, which is nobody's business
+            warnings.simplefilter("ignore", RuntimeWarning)
+            return make()
+    except (ProprioError, ParameterException):
+        raise
+    except RuntimeError as error:
+        said = one_line(_said_by_rcl(error))
+        if "security libraries" in said:
+            said = (
+                "ROS_SECURITY_ENABLE is set, and this Fast DDS is built without security, as that of the wheels is: use ROS 2 "
+                "from apt, or unset it"
+            )
+        raise ConfigurationError(f"not started: {said}") from error
+
+
 def live(make: Callable[[], ManagedNode], ended: clock.Event) -> int:
     """A node's life: made, configured, activated, spun, and ended in order; returns 0, or 2 when it could not be configured."""
     node: ManagedNode | None = None
@@ -67,7 +87,7 @@ def live(make: Callable[[], ManagedNode], ended: clock.Event) -> int:
     code = 0
     try:
         before = clock.threads()
-        node = make()
+        node = _made(make)
         node.hearing = clock.threads() - before | {threading.get_native_id()}
         spinner.add_node(node)
         if node.values["autostart"] and not _started(node):

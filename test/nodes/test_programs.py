@@ -163,3 +163,25 @@ def test_a_program_that_cannot_start_says_so_in_a_line(
     own = [line for line in done.stderr.splitlines() if "[rcl]" not in line]
     assert len(own) == 1, done.stderr
     assert own[0].startswith(reason)
+
+
+def test_security_that_the_middleware_lacks_is_one_line(tmp_path: Path) -> None:
+    """The wheels' Fast DDS is built without it; that of ROS from apt has it, and then lacks the keys."""
+    pytest.importorskip("rclpy")
+    keys = tmp_path / "keys"
+    (keys / "enclaves").mkdir(parents=True)
+    secure = {
+        "ROS_SECURITY_KEYSTORE": str(keys),
+        "ROS_SECURITY_ENABLE": "true",
+        "ROS_SECURITY_STRATEGY": "Enforce",
+    }
+    command = [sys.executable, "-m", "proprio_ros.nodes.programs", "driver"]
+    done = subprocess.run(
+        command, capture_output=True, text=True, cwd=tmp_path, env={**os.environ, **secure}
+    )
+    assert done.returncode == 2
+    own = [line for line in done.stderr.splitlines() if "[rcl]" not in line]
+    assert len(own) == 1, done.stderr
+    assert own[0].startswith("not started: ")
+    if "security libraries" in own[0] or "built without security" in own[0]:
+        assert own[0].endswith("use ROS 2 from apt, or unset it")
