@@ -156,9 +156,12 @@ def _refuse_unknown_drives(robot: Robot, motion: Motion) -> None:
         slides = robot.model.joint(name).kind == "prismatic"
         span = float(np.ptp(motion.beside[name]))
         if span > (MOVED_SLIDE_M if slides else MOVED_RAD):
+            cure = "add it under joints"
+            if name in robot.drive_trains:
+                cure = "state transmission_m_per_rad: 1 and its constants as N/A"
             raise RecordingError(
                 f"{name} moved by {span:.2g} {'m' if slides else 'rad'} and moves the hand, and {robot.source.name} does not say "
-                "what drives it: add it under joints, or hold it while the others move",
+                f"what force drives it: {cure}, or hold it while the others move",
                 motion.name,
             )
 
@@ -203,8 +206,14 @@ def _under_a_controller(recording: Recording, robot: Robot) -> bool:
 
 
 def turning_joints(robot: Robot) -> list[str]:
-    """The joints that have a motor and turn: those of a motion."""
-    return [name for name in robot.drive_trains if robot.model.joint(name).kind != "prismatic"]
+    """The joints of a motion: those that have a motor and turn, and slides that move the hand and whose efforts are forces."""
+    slides = path_to(robot.model, robot.payload_frame)
+    return [
+        name
+        for name, drive in robot.drive_trains.items()
+        if robot.model.joint(name).kind != "prismatic"
+        or (name in slides and drive.transmission == 1.0)
+    ]
 
 
 def _noted(

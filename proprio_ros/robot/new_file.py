@@ -148,7 +148,10 @@ def _driven(model: RobotModel, tip: str | None, torque_recorded: bool) -> tuple[
     """The joints that are listed as driven: those of the arm, or all where nothing is beside it."""
     joints = model.independent_joints if tip is None else arm_joints(model, tip)
     moving = tuple(name for name in joints if name not in model.idle_joints)
-    turning = tuple(name for name in moving if model.joint(name).kind != "prismatic")
+    of_hand = path_to(model, hand_link(model, tip))
+    turning = tuple(
+        name for name in moving if model.joint(name).kind != "prismatic" or name in of_hand
+    )
     return turning if torque_recorded and turning else moving
 
 
@@ -247,7 +250,9 @@ class _JointWriter:
         """What is neither of the motor nor of the drive train; most of it only a slide has."""
         lines = []
         for key, entry in JOINT.items():
-            if key == "transmission_m_per_rad" and self.slides:
+            if key == "transmission_m_per_rad" and self.slides and self.torque_recorded:
+                lines.append(_line(4, key, 1, "efforts are forces, N"))
+            elif key == "transmission_m_per_rad" and self.slides:
                 lines.append(self._by_default(4, key, entry, f"{STATE}: "))
             elif self.slides or key == "usable_velocity_rad_s":
                 lines.append(self._by_default(4, key, entry))

@@ -274,7 +274,7 @@ def _located(name_or_path: str, folder: Path) -> Path:
 
 
 def bare_settings(source: str, tip: str | None = None) -> dict[str, Any]:
-    """What a description alone says of a robot: the joints of its arm that turn have motors of which nothing is known.
+    """What a description alone says: the joints of its arm have motors of which nothing is known; slides only where they move the hand.
 
     Args:
         source: As in `read_model`.
@@ -286,14 +286,17 @@ def bare_settings(source: str, tip: str | None = None) -> dict[str, Any]:
     check_masses(model, Path(source).name)
     tip = tip or tip_of(model)
     joints = model.independent_joints if tip is None else arm_joints(model, tip)
+    frame = hand_link(model, tip)
+    moving = path_to(model, frame)
     settings = {
         "name": model.name,
         "urdf": source,
-        "payload_frame": hand_link(model, tip),
+        "payload_frame": frame,
         "joints": {
             name: {}
             for name in joints
-            if model.joint(name).kind != "prismatic" and name not in model.idle_joints
+            if (model.joint(name).kind != "prismatic" or name in moving)
+            and name not in model.idle_joints
         },
     }
     return settings if tip is None else {**settings, "tip": tip}
@@ -360,10 +363,13 @@ def _check_stated(
 def _joints_without(settings: Mapping[str, Any], model: RobotModel) -> dict[str, list[str]]:
     """By a key that each joint must have, in words, the joints that do not state it."""
     without: dict[str, list[str]] = defaultdict(list)
+    forces = _of_forces(settings, model)
     for name, joint in _part(settings, "joints").items():
         if NOMINAL not in _part(joint, "motor") and _CONSTANT not in _part(joint, "drive_train"):
             without[f"motor.{NOMINAL}"].append(name)
         slides = name in model.independent_joints and model.joint(name).kind == "prismatic"
+        if name in forces:
+            continue
         if slides and isinstance(joint, Mapping) and "transmission_m_per_rad" not in joint:
             without["transmission_m_per_rad (slide per rad of the motor)"].append(name)
     return without
@@ -404,6 +410,19 @@ def _of_the_arm(settings: dict[str, Any], model: RobotModel) -> dict[str, Any]:
             f"tip: no joint of joints moves {tip}; state {_few(arm_joints(model, tip))}"
         )
     return {**settings, "joints": kept}
+
+
+def _of_forces(settings: Mapping[str, Any], model: RobotModel) -> set[str]:
+    """The joints that move the hand and whose efforts are forces or torques as recorded: they have no motor's shaft."""
+    frame = settings.get("payload_frame")
+    if not any(link.name == frame for link in model.links):
+        return set()
+    joints = _part(settings, "joints")
+    return {
+        name
+        for name in path_to(model, str(frame))
+        if _part(joints.get(name), "motor").get(NOMINAL) == 1
+    }
 
 
 def _few(names: Sequence[str], longest: int = 60) -> str:

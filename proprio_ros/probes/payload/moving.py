@@ -59,6 +59,7 @@ MISFIT_RATIO = 3.0
 """The motion with the payload may be explained so much worse than the empty one; beyond that something else happened in it."""
 # How far from nothing an empty hand may weigh before the calibration is called out of date.
 DRIFT_SIGMAS = 3.0
+UNTOLD = 0.98  # Of that spread: nothing at all was told.
 SEEN_SHARE = 0.5  # Of the spread of any load's parameters: what is known no better is not seen.
 
 
@@ -614,8 +615,11 @@ def _place(fit: MotionFit) -> tuple[Value, Value]:
     """Centre of mass, and inertia about it, in the payload's frame, where the mass is known well enough to divide by."""
     mass = float(fit.values[0])
     std = fit.std
-    if abs(mass) < refusals.LEAST_SIGMAS * std[0] or mass <= 0.0:
+    nowhere = bool((std[1:4] > UNTOLD * fit.payload_prior[1:4]).all())  # an arm of slides alone
+    if nowhere or abs(mass) < refusals.LEAST_SIGMAS * std[0] or mass <= 0.0:
         nothing = "too little is held to say "
+        if nowhere:
+            nothing = "the hand is never turned, which alone would say "
         return (
             Value(
                 "payload_com",
