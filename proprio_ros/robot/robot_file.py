@@ -274,7 +274,7 @@ def _located(name_or_path: str, folder: Path) -> Path:
 
 
 def bare_settings(source: str, tip: str | None = None) -> dict[str, Any]:
-    """What a description alone says: the joints of its arm have motors of which nothing is known; slides only where they move the hand.
+    """What a description alone says: motors of its arm of which nothing is known, of slides only where they move the hand.
 
     Args:
         source: As in `read_model`.
