@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import re
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -10,7 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from swings import ROBOT, URDF, as_run, facts, machine_of, released
+from swings import ROBOT, SPREAD_M2, URDF, as_run, facts, machine_of, released
 
 from proprio_ros.errors import ConfigurationError, RecordingError
 from proprio_ros.identification.estimate import Verdict
@@ -28,6 +29,7 @@ from proprio_ros.recordings.topics import BOOL, JOINT_STATE
 from proprio_ros.recordings.writer import write_messages
 from proprio_ros.records import InputRecord, JointRecord, Recording, Run
 from proprio_ros.robot import Robot, load_robot
+from proprio_ros.sim.payload import PayloadFacts, PayloadShape
 
 START_NS = 1_000_000_000
 MASSES_KG = (0.55, 1.0, 0.8)
@@ -397,6 +399,28 @@ def test_another_joint_than_the_one_that_was_calibrated_is_named(
 
 
 @pytest.mark.long
+def test_how_far_a_swing_leans_on_the_payload_s_inertia_is_said(
+    robot: Robot,
+    runs: list[Run],
+) -> None:
+    """A disc of 5 cm that is called a point weighs so much less, and nothing in the swing shows it."""
+    learnt = calibrate(robot, known(runs[:2], MASSES_KG[:2]))
+    assert learnt.calibration is not None
+    calibrated = robot.with_calibration(learnt.calibration)
+    point = PayloadFacts(shape=PayloadShape.from_inertia_per_mass([1e-7] * 3 + [0.0] * 3))
+    answers = [weigh(calibrated, runs[2:], each) for each in (facts(), point)]
+    disc_kg, point_kg = (float(each.values[0].value or 0.0) for each in answers)
+    said = []
+    for each in answers:
+        found = re.search(r"5 cm is worth about (\d+) g", " ".join(each.assumptions))
+        assert found is not None
+        said.append(float(found[1]))
+    # to first order, about either answer
+    assert pytest.approx(0.05**2) == SPREAD_M2
+    assert said[1] < 1e3 * (disc_kg - point_kg) < said[0] < 2.0 * said[1]
+
+
+@pytest.mark.long
 def test_an_older_calibration_does_not_say_whose_it_is(robot: Robot, runs: list[Run]) -> None:
     learnt = calibrate(
         robot,
@@ -553,7 +577,7 @@ def test_a_real_servo_that_lets_go_weighs(
         value = replay(bags[number], asked).values[0]
         assert isinstance(value.value, float) and isinstance(value.std, float)
         assert value.value == pytest.approx(REAL_KG[number], rel=0.05)
-        assert abs(value.value - REAL_KG[number]) < 1.96 * value.std < 0.08 * REAL_KG[number]
+        assert abs(value.value - REAL_KG[number]) < 1.96 * value.std < 0.1 * REAL_KG[number]
 
 
 @pytest.mark.parametrize(

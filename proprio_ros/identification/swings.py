@@ -30,6 +30,7 @@ FRICTION_LAW, FRICTION_LAW_SHARE = "friction_law", 0.015
 """Source of uncertainty, and its standard deviation as a share of the mass: gears follow no law of friction better. Masses of real
 servos that were let go came out 1.3 to 1.9 % off with whatever law explained the swings (docs: validation)."""
 HORN = "horn_put_on_anew"  # source of uncertainty, too: whether it was put on anew
+WHOSE = "another_joint"  # likewise: whether the calibration is of another joint
 USUAL_SHARE, USUAL_SAMPLES = 0.01, 16.0
 """What a simulation usually misses of a swing's span, and how many independent samples that word counts as: two swings alone may
 be followed better than the next one by chance."""

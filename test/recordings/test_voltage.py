@@ -7,6 +7,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from support.bends.bend import all_bends
+from support.bends.tape import tape_of
+from support.known.asking import bent_bag
 from support.machines import REAL, pendulum_urdf
 from support.servo_bag import write
 
@@ -59,10 +62,10 @@ def driven(
     gain: float = 2.5,
     armature: float = 0.01,
     torque_constant: float = 1.3,
+    resistance: float = 2.0,
 ) -> dict[str, np.ndarray]:
     """A servo under its own position law that swings a point mass at 0.1 m, integrated here in steps of 0.2 ms."""
     random = np.random.default_rng(seed)
-    resistance = 2.0
     emf = torque_constant
     coulomb = 0.05 * random.uniform(0.9, 1.1)
     lost = 0.1
@@ -394,6 +397,12 @@ OTHERS: dict[str, dict[str, float]] = {
     "twice the gain": {"gain": 5.0},
     "a weaker servo": {"torque_constant": 0.8, "armature": 0.006},
     "a stronger servo": {"torque_constant": 2.0, "armature": 0.03},
+    # the same motor wound for another supply: as strong and as fast on that, so its back EMF brakes it alike
+    "wound for 7.4 V": {"torque_constant": 1.3 * 7.4 / 12.0, "resistance": 2.0 * (7.4 / 12.0) ** 2},
+    "wound for 12 V where it was 7.4": {
+        "torque_constant": 1.3 * 12.0 / 7.4,
+        "resistance": 2.0 * (12.0 / 7.4) ** 2,
+    },
 }
 
 
@@ -411,6 +420,35 @@ def test_another_servo_or_gain_than_the_one_that_was_calibrated_is_named(
     codes = [getattr(reason, "code", "") for reason in estimate.reasons]
     # a servo that is another in all may also be explained by no load
     assert codes == ["another_joint"] or ("servo" in other and codes == ["misfit"])
+
+
+MISHEARD = (
+    "goals_clipped",
+    "goals_logged_clipped",
+    "goals_offset",
+    "goals_late",
+    "goals_lead_more",
+)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", MISHEARD)
+@pytest.mark.parametrize("seed", [31, 32])
+def test_goals_that_are_not_what_the_servo_heard_are_seen_or_covered(
+    calibrated: Path, tmp_path: Path, name: str, seed: int
+) -> None:
+    load_kg = 0.45
+    bag = write(tmp_path / "as_it_is", driven(load_kg, seed))
+    bend = all_bends()[name]
+    rng = np.random.default_rng(seed)
+    bent = bent_bag(
+        bag,
+        tmp_path / "bent",
+        [(bend, bend.drawn(rng, tape_of(bag)))],
+        seed,
+    )
+    mass = replay(bent, Options(calibration=calibrated, settings=POINT)).values[0]
+    assert mass.value is None or mass.ci95[0] < load_kg < mass.ci95[1]
 
 
 @pytest.mark.long

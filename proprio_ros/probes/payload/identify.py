@@ -57,7 +57,16 @@ from proprio_ros.identification.prepared_runs import KnownLoad, PreparedRun, joi
 from proprio_ros.identification.problem import Problem
 from proprio_ros.identification.reasons import Reason
 from proprio_ros.identification.robot_unknowns import ZERO_REPEATS, ZEROS_BESIDE
-from proprio_ros.identification.same_joint import another_joint, mean_of, outside
+from proprio_ros.identification.same_joint import (
+    LIKELY_ANOTHER,
+    TOGETHER,
+    OtherJoint,
+    compared,
+    determined,
+    mean_of,
+    outside,
+    refused,
+)
 from proprio_ros.identification.swing_friction import TERMS, own_friction, swing_starts
 from proprio_ros.identification.unknowns import Role
 from proprio_ros.kinds import name_of
@@ -84,6 +93,8 @@ AS_WELL, MEASURED = 4.0, 0.02
 """A fit whose chi-square is larger by less explains a recording as well as another; a torque constant that is known better than so,
 relative, has been measured."""
 
+GYRATION_M = 0.05
+"""By what it is said how far a swing's answer leans on the payload's own inertia: a radius of gyration."""
 LEAN_RAD = 0.02
 """So far elsewhere a zero may be unseen, as by a base that was tilted by a degree: said where it matters."""
 ANY_ZERO_RAD = 0.3  # How far a horn may be put on elsewhere than it was: standard deviation.
@@ -305,7 +316,8 @@ def _weigh_swings(
             )
         elif not worse:
             either_kg = again.value_of("payload_mass") - opened.value_of("payload_mass")
-    against = list(_of_another_joint(opened.problem.robot, runs, facts, options))
+    other = _other_joint(opened, runs, facts, options)
+    against = [] if other is None else list(_of_another_joint(robot, runs, other))
     if misfit:
         against.append(rejected("misfit", "the model does not explain the recording", misfit))
     if not robot.is_calibrated(joints_of(runs)) and not known_exactly(robot, runs):
@@ -318,18 +330,51 @@ def _weigh_swings(
             not_identifiable("not_calibrated", "a free swing alone does not tell a mass", nothing)
         )
     return Weighed(
-        searched, opened, found, count, facts, options, against=against, either_kg=either_kg
+        searched,
+        opened,
+        found,
+        count,
+        facts,
+        options,
+        against=against,
+        either_kg=either_kg,
+        other=other,
     ).estimate()
 
 
+def _other_joint(
+    fit: FitResult, runs: Sequence[PreparedRun], facts: PayloadFacts, options: WeighingOptions
+) -> OtherJoint | None:
+    """Whether swings are of another joint than the calibration's; None where it, or they, show no friction of their own."""
+    robot = fit.problem.robot
+    if robot.calibration is None or not robot.calibration.own_terms:
+        return None
+    now = mean_of([own_friction(robot, run.run, facts, options) for run in runs])
+    if not determined(now):
+        return None
+    comparison = compared(robot.calibration.own_terms, now, TOGETHER)
+    return OtherJoint.of(comparison, fit.value_of("payload_mass"), _known_kg(robot))
+
+
+def _known_kg(robot: Robot) -> list[float]:
+    """The loads of its calibration [kg]."""
+    calibration = robot.calibration
+    return [] if calibration is None else [float(run["load_kg"]) for run in calibration.runs]
+
+
 def _of_another_joint(
-    robot: Robot, runs: Sequence[PreparedRun], facts: PayloadFacts, options: WeighingOptions
+    robot: Robot,
+    runs: Sequence[PreparedRun],
+    other: OtherJoint,
 ) -> Iterator[Refusal]:
-    """Where the swings' own friction is not that of the calibration's."""
-    known = () if robot.calibration is None else robot.calibration.own_terms
-    if known:
-        own = [own_friction(robot, run.run, facts, options) for run in runs]
-        yield from another_joint(runs[0].run.joint, TERMS, known, mean_of(own))
+    """Where that is too likely."""
+    if robot.calibration is not None and other.probability > LIKELY_ANOTHER:
+        yield refused(
+            runs[0].run.joint,
+            TERMS,
+            other.comparison,
+            robot.calibration.own_terms,
+        )
 
 
 def _followed(
@@ -393,6 +438,7 @@ class Weighed(Conclusion):
     options: WeighingOptions
     still: Sequence[PreparedRun] = ()
     either_kg: float = 0.0  # how far off a mass is that explains swings as well
+    other: OtherJoint | None = None  # whether swings are of another joint
 
     probe = "payload"
     name = "payload_mass"
@@ -414,6 +460,8 @@ class Weighed(Conclusion):
         if self.swings:
             self.count(swings.FRICTION_LAW_SHARE * abs(mass), swings.FRICTION_LAW)
             self.count(self.either_kg, swings.HORN)
+            if self.other is not None:
+                self.count(self.other.share * abs(mass), swings.WHOSE)
         elif not self.known:
             # the nominal mass may sit anywhere inside the open fit's interval: count how far
             self.assessed.widen(mass - float(self.opened.values[self.assessed.row]))
@@ -512,8 +560,7 @@ class Weighed(Conclusion):
             )
         yield from self.several(0.02)
         if self.swings and self.robot.calibration is not None:
-            loads = [float(run["load_kg"]) for run in self.robot.calibration.runs]
-            yield from outside(self.runs[0].run.joint, mass, loads)
+            yield from outside(self.runs[0].run.joint, mass, _known_kg(self.robot))
 
     def _all_refusals(self) -> Iterator[Refusal]:
         """And what takes more fits: an interval that hardly reaches above nothing may lie elsewhere, not just be too wide."""
@@ -677,8 +724,11 @@ class Weighed(Conclusion):
         size = " (size guessed, its uncertainty counted)" if facts.shape_std_relative > 0.0 else ""
         free = "friction differs from swing to swing, by one factor each"
         if self.known:
-            free += "; the joint is that of the calibration, as far as friction shows it, and arm and known loads are as stated: "
-            free += "another rotor or arm with such friction swings like another load"
+            free += "; the joint is that of the calibration, as far as friction shows it"
+            if self.other is not None:
+                free += f" (another one's with a probability of {100.0 * self.other.probability:.2g} %, which counts)"
+            free += ", and arm and known loads are as stated: a shorter arm swings like a lighter load, and nothing here tells; so "
+            free += f"with the payload's inertia, of which a radius of gyration of 5 cm is worth about {self._by_inertia()}"
         stay = self.fit is self.nominal and not self.swings
         tilt = f"; 1 degree of tilt of its base changes the mass by up to {shown('kg', self._tilted(1.0), spec='.2g')}"
         file = "what it leaves open was fitted under its priors"
@@ -699,6 +749,16 @@ class Weighed(Conclusion):
             return "an unknown amount"
         per_pace = self.assessed.posterior.follows_clock(self.name)
         return shown("kg", abs(0.01 * per_pace), spec=".2g")
+
+    def _by_inertia(self) -> str:
+        """What it is worth to a swing that the payload is no point about its centre.
+
+        Its moment over all inertia stays, so the mass grows as the inertia that is not the payload's has to make up for.
+        """
+        run = self.runs[0]
+        without = float(run.coefficients.arm[0]) + run.drive.armature.value
+        more = (self.assessed.value * GYRATION_M) ** 2 / max(without, 1e-9)
+        return shown("kg", more, spec=".0f")
 
     def _tilted(self, degrees: float) -> float:
         """What it is worth that gravity pulls from elsewhere about a driven joint, by the balance at rest of the worst run [kg]."""

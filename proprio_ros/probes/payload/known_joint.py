@@ -71,8 +71,9 @@ def identify_known_joint(
             f"masses differ by {100.0 * calibration.spread:.2g} % from recording to recording, as those of the known loads did: "
             "friction is not the same every time",
             "each recording has an offset of its own; samples in which the joint creeps do not count",
-            "servo, gain and supply are those of the calibration, as far as rotor and friction show it, and so its zero; arm and "
-            "known loads are as they were stated: a longer arm is like a heavier load, and a mass errs as they do",
+            "servo, gain and supply are those of the calibration, as far as rotor and friction show it, and so its zero; arm, "
+            "payload's inertia and known loads are as they were stated: a longer arm is like a heavier load, a shorter one like a "
+            "lighter one, and a mass errs as they do",
         ),
         fit=Fit(
             fit.residual,
@@ -98,7 +99,7 @@ def _refusals(
             "misfit",
             "the model does not explain the recording",
             f"{motion.name}: {100.0 * unexplained:.0f} % of the torque of {joint} is not explained by any load with what its "
-            "calibration knows: did anything touch the arm, or is the servo set otherwise than then?",
+            "calibration knows: did anything touch the arm, is the servo set otherwise than then, or are goals cut off?",
         )
     yield from lighter_than_empty(
         fit.mass, half, "check the URDF's masses and the loads of the calibration"

@@ -1,0 +1,79 @@
+"""A servo asked by the calibration of another one, and goals that are not what a servo heard."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from support.known.asking import REFUSED
+from support.machines import REAL
+
+from conformance.table import ACCEPTED, VERDICTS, Bent, Files, Row
+
+_SECTION = "I. Whose servo"
+_DRIVEN = "driven_sin_sin_0.535"
+_LOADED = ("loaded",)
+
+
+def _instead(recording: str) -> Row:
+    """Another servo's recording, with the calibration of the base."""
+
+    def make(folder: Path, files: Files) -> Files:
+        return {**files, "loaded": REAL / recording}
+
+    let_go = "release" in recording
+    return Row(
+        name=f"asked_for_{recording}",
+        section=_SECTION,
+        trouble=f"the calibration of an STS3215, and `{recording}`",
+        base="let_go_0.741" if let_go else _DRIVEN,
+        make=make,
+        verdicts=REFUSED,
+        cause=r"another|that servo|the servo|not the joint|any load",
+    )
+
+
+def _heard(
+    bend: str,
+    trouble: str,
+    verdicts: tuple[str, ...],
+    **parameters: float,
+) -> Row:
+    """Goals of a real servo that are not what it heard.
+
+    Args:
+        bend: Its name.
+        trouble: What it is.
+        verdicts: That are right.
+        parameters: Of the bend.
+    """
+    joint = {} if bend in ("goals_late", "goals_lead_more") else {"joint": "pendulum"}
+    return Row(
+        name=f"{bend}_{'_'.join(map(str, parameters.values()))}",
+        section=_SECTION,
+        trouble=trouble,
+        base=_DRIVEN,
+        bends=(Bent(bend, {**joint, **parameters}, _LOADED),),
+        verdicts=verdicts,
+        cause=r"goals|servo",
+        said_if=("rejected",),
+    )
+
+
+ROWS = (
+    *(
+        _instead(recording)
+        for recording in (
+            "sts3250_release_0.741kg",
+            "sts3250_release_1.168kg",
+            "xl330_kp100_sin_sin",
+            "xl330_kp400_sin_time_square",
+        )
+    ),
+    _heard("goals_clipped", "a servo keeps within limits of its own", REFUSED, share=0.18),
+    _heard("goals_logged_clipped", "goals are cut off in the log", REFUSED, share=0.18),
+    _heard("goals_offset", "goals count from another zero", (ACCEPTED,), off_rad=0.08),
+    _heard("goals_late", "goals are stamped late", REFUSED, late_s=0.08),
+    _heard("goals_late", "goals are stamped early", REFUSED, late_s=-0.05),
+    _heard("goals_lead_more", "the servo's gain or supply is another", VERDICTS, factor=1.1),
+    _heard("goals_lead_more", "the servo's gain or supply is another", REFUSED, factor=1.6),
+)
