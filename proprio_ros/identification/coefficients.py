@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
@@ -80,10 +81,13 @@ def axis_and_gravity(
 def link_stds(robot: Robot, link: Link) -> dict[str, float]:
     """Standard deviations of a link's ``LINK_TERMS`` before anything is learnt."""
     spread = link.spread
+    mass = math.hypot(robot.link_mass_std, spread.mass)
+    place_m = math.hypot(robot.link_com_std, spread.com_m)
+    inertia = math.hypot(robot.link_inertia_std, spread.inertia)
     stds = (
-        float(np.hypot(robot.link_mass_std, spread.mass)),
-        *[float(np.hypot(robot.link_com_std, spread.com_m))] * 3,
-        float(np.hypot(robot.link_inertia_std, spread.inertia)),
+        mass,
+        *[place_m] * 3,
+        inertia,
     )
     return dict(zip(LINK_TERMS, stds, strict=True))
 

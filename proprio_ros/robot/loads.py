@@ -34,7 +34,8 @@ class Loads:
 
     def __init__(self, robot: Robot) -> None:
         model = robot.model
-        inertias = {link.name: robot.arm_scale.value * link.pseudo_inertia for link in model.links}
+        scale = robot.arm_scale.value
+        inertias = {link.name: scale * link.pseudo_inertia for link in model.links}
         self.joints = model.independent_joints
         self._gravity = robot.gravity
         # one body for each joint that moves, with all that is fixed to it: the joint, its parent body and place there
@@ -53,7 +54,8 @@ class Loads:
                 place = np.eye(4)
             frames[joint.child] = body, place
             if body >= 0:
-                self._pseudo[body] = self._pseudo[body] + place @ inertias[joint.child] @ place.T
+                own = inertias[joint.child]
+                self._pseudo[body] = self._pseudo[body] + place @ own @ place.T
         body, place = frames.get(
             robot.payload_frame,
             (-1, np.eye(4)),
@@ -69,18 +71,22 @@ class Loads:
         """Efforts and inertias in a pose of all independent joints [rad or m]. A joint that others follow moves them, too."""
         places, moving = self._placed(pose)
         parents = [parent for _, parent, _ in self._bodies]
-        beyond = [
-            place @ pseudo @ place.T for place, pseudo in zip(places, self._pseudo, strict=True)
-        ]
+        beyond = []
+        for place, pseudo in zip(places, self._pseudo, strict=True):
+            beyond.append(place @ pseudo @ place.T)
         per_kg = dict.fromkeys(self.joints, 0.0)
         if self._hand >= 0:
             held = places[self._hand] @ self._held_at
-            beyond[self._hand] = beyond[self._hand] + held_kg * np.outer(held, held)
+            point = held_kg * np.outer(held, held)
+            beyond[self._hand] = beyond[self._hand] + point
             for row in _chain(parents, self._hand):
-                per_kg[self._driving[row][0]] -= float(self._gravity @ (moving[row] @ held)[:3])
+                name = self._driving[row][0]
+                velocity = moving[row] @ held
+                per_kg[name] -= float(self._gravity @ velocity[:3])
         for row in range(len(places) - 1, 0, -1):
-            if parents[row] >= 0:
-                beyond[parents[row]] = beyond[parents[row]] + beyond[row]
+            before = parents[row]
+            if before >= 0:
+                beyond[before] = beyond[before] + beyond[row]
         load = Load(
             dict.fromkeys(self.joints, 0.0),
             dict.fromkeys(self.joints, 0.0),
@@ -91,11 +97,23 @@ class Loads:
             momentum = moving[row] @ beyond[row]
             load.gravity[name] -= float(self._gravity @ momentum[:3, 3])
             load.inertia[name] += float(np.sum(momentum * moving[row]))
-            for before in _chain(
-                parents, parents[row]
-            ):  # each of the two moves what is beyond both
-                self._react(load, before, row, momentum, moving[before])
-                self._react(load, row, before, moving[before] @ beyond[row], moving[row])
+            # each of the two moves what is beyond both
+            for before in _chain(parents, parents[row]):
+                of_before = moving[before] @ beyond[row]
+                self._react(
+                    load,
+                    before,
+                    row,
+                    momentum,
+                    moving[before],
+                )
+                self._react(
+                    load,
+                    row,
+                    before,
+                    of_before,
+                    moving[row],
+                )
         return load
 
     def _placed(self, pose: Mapping[str, float]) -> tuple[list[FloatArray], list[FloatArray]]:
@@ -106,12 +124,27 @@ class Loads:
             name, multiplier, offset = self._driving[row]
             frame = places[parent] @ frame if parent >= 0 else frame
             position = multiplier * pose[name] + offset
-            places.append(frame @ motion(joint.kind, joint.axis, position))
-            moving.append(multiplier * _velocity(joint.kind, frame, joint.axis))
+            moved = motion(
+                joint.kind,
+                joint.axis,
+                position,
+            )
+            velocity = _velocity(
+                joint.kind,
+                frame,
+                joint.axis,
+            )
+            places.append(frame @ moved)
+            moving.append(multiplier * velocity)
         return places, moving
 
     def _react(
-        self, load: Load, moved: int, other: int, momentum: FloatArray, moving: FloatArray
+        self,
+        load: Load,
+        moved: int,
+        other: int,
+        momentum: FloatArray,
+        moving: FloatArray,
     ) -> None:
         """Add what one joint feels of another that moves: both move the momentum."""
         name = self._driving[moved][0]

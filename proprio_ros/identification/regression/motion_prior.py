@@ -68,7 +68,8 @@ def _unstated_stds(robot: Robot, arm: Arm) -> list[float]:
     for link in robot.model.links:
         body = arm.model.frames[link.name][0]
         if body >= 0:
-            kg[body] += link.spread.mass * float(link.pseudo_inertia[3, 3])
+            mass = float(link.pseudo_inertia[3, 3])
+            kg[body] += link.spread.mass * mass
     stds: list[float] = []
     for mass_kg, length_m in zip(kg, arm.lengths_m, strict=True):
         stds += sizes(mass_kg, length_m)
@@ -93,7 +94,9 @@ def file_prior(robot: Robot, arm: Arm) -> Prior:
     drives = [robot.drive_trains[name] for name in arm.model.joint_names]
     bodies = body_stds(arm, robot.link_mass_std or LINK_SHARE)
     unstated = _unstated_stds(robot, arm)
-    stds = [float(np.hypot(*both)) for both in zip(bodies, unstated, strict=True)]
+    stds = []
+    for both in zip(bodies, unstated, strict=True):
+        stds.append(float(np.hypot(*both)))
     stds += drive_stds(robot, arm)
     stds += [LEAST_TORQUE_STD] * len(drives)
     # until the fit knows Coulomb friction itself
