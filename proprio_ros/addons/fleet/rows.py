@@ -31,6 +31,7 @@ Row = dict[str, Any]
 EPISODE = "episode"  # a whole one
 PART = "part"  # of one that is too long to be answered at once
 GRASP = "grasp"  # a stretch in which one thing was held
+CHANGED = "changed_midway"  # the reason where it does not stay one thing
 FAILED = "failed"  # what could not be read or identified
 MACHINE = "machine"
 """Code of a reason that is the computer's; such a row is not kept."""
@@ -195,8 +196,24 @@ def _answered(
         if grasps is not None:
             grasps.add(motion, 0.0 if span is None else 1e-9 * span[0])
     if grasps is not None:
-        rows += _of_grasps(episode, rows, grasps)
+        found = _of_grasps(episode, rows, grasps)
+        rows = [*(_with_change(row, found) for row in rows), *found]
     return rows
+
+
+def _with_change(row: Row, grasps: Sequence[Row]) -> Row:
+    """The row of a whole episode that is rejected as one load, where several were weighed in it: that comes first, and no unit."""
+    loads = [grasp for grasp in grasps if grasp["verdict"] == "accepted"]
+    codes = list(row["reason_codes"] or ())
+    whole = row["kind"] == EPISODE and row["verdict"] == "rejected"
+    if not whole or len(loads) < 2 or CHANGED in codes[:1]:
+        return row
+    sentence = f"its load changes: {len(loads)} stretches with one load each are weighed in rows of their own"
+    return {
+        **row,
+        "reasons": [sentence, *(row["reasons"] or ())],
+        "reason_codes": [CHANGED, *codes],
+    }
 
 
 def _within(request: Request, span: Span | None) -> Request:

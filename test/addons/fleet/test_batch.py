@@ -526,6 +526,23 @@ def test_ray_gives_the_same_rows(fleet: Path, tmp_path: Path) -> None:
     assert same(table(tmp_path / "ray"), table(tmp_path / "local"))
 
 
+def test_a_pick_whose_grasps_are_weighed_is_no_misfit() -> None:
+    whole = {
+        "kind": "episode",
+        "verdict": "rejected",
+        "reasons": ["unit?"],
+        "reason_codes": ["misfit"],
+    }
+    grasp = {"kind": "grasp", "verdict": "accepted"}
+    changed = rows_module._with_change(whole, [grasp, grasp])
+    assert changed["reason_codes"] == ["changed_midway", "misfit"]
+    assert changed["reasons"][0].startswith("its load changes: 2 stretches")
+    assert rows_module._with_change(whole, [grasp]) == whole
+    accepted = {**whole, "verdict": "accepted"}
+    assert rows_module._with_change(accepted, [grasp, grasp]) == accepted
+    assert rows_module._with_change(changed, [grasp, grasp]) == changed
+
+
 @pytest.mark.long
 def test_grasps_are_found_with_their_masses(fleet: Path) -> None:
     """Nothing, 150 g from 8 s on, 60 g from 16 s on as if one of two things had fallen."""
