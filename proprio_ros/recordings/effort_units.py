@@ -66,14 +66,14 @@ def _means(recording: Recording, robot: Robot) -> _Means | None:
     """Of the longest stretch without a gap; None where too little was recorded."""
     record = recording.joints
     slides = [joint.name for joint in robot.model.joints if joint.kind == "prismatic"]
-    turning = [name for name in robot.model.independent_joints if name not in slides]
+    all_of_it = robot.model.independent_joints if robot.tip is None else robot.drive_trains
+    turning = [name for name in all_of_it if name not in slides]
     # what is behind a joint that was not recorded would be somewhere else
     if record.reported_effort is None or not turning or not set(turning) <= set(record.names):
         return None
     held = dict.fromkeys(slides, 0.0)
-    for name in slides:
-        if name in record.names:
-            held[name] = float(record.position[:, record.column(name)].mean())
+    for name in record.names:
+        held[name] = float(record.position[:, record.column(name)].mean())
     model = robot.model.lock(turning, held, robot.gravity)
     columns = [record.column(name) for name in model.joint_names]
     values = np.stack(

@@ -46,8 +46,11 @@ def test_three_commands_weigh_what_either_hand_holds(
     torque = ["--effort-unit", "N.m"]
     urdf = str(recorded / "two_arms.urdf")
     assert main(["robot", "new", urdf, "--tip", f"{side}_tool0", *torque, "--output", file]) == 0
-    assert main(["check", loaded, "--robot", file, *torque]) == 0
     capsys.readouterr()
+    assert main(["check", loaded, "--robot", file, *torque, "--json"]) == 0
+    seen = json.loads(capsys.readouterr().out)["bags"][0]
+    compared = seen["effort_per_N_m"]
+    assert compared and all(name.startswith(side) for name in compared), "a torso holds both arms"
     empty = str(recorded / f"{side}_empty")
     words = ["replay", loaded, "--baseline", empty, "--probe", "payload", "--robot", file]
     assert main([*words, *torque, "--json"]) == 0
