@@ -19,6 +19,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from proprio_ros.calibration_files.motions import (
     ARM_TERMS,
@@ -51,6 +52,7 @@ from proprio_ros.identification.regression.recording_variability import Recordin
 from proprio_ros.identification.regression.solve import (
     Priors,
     Solution,
+    posterior,
     solve,
     solve_following,
     window_weights,
@@ -78,6 +80,15 @@ class FittedTerms:
     values: FloatArray  # that came out, shape (P,)
     prior: FloatArray  # what should have come out, shape (P,)
     std: FloatArray  # how well that is known, shape (P,)
+
+
+@dataclass(frozen=True)
+class ChainParts:
+    """The mass by two parts of an arm's joints, each alone."""
+
+    first_far: str  # the first joint of the part that is farther from the base
+    near: tuple[float, float]  # by the joints before it: mass and its standard deviation [kg]
+    far: tuple[float, float]  # by that joint and those after it
 
 
 @dataclass(frozen=True)
@@ -115,6 +126,8 @@ class MotionFit:
     shown: tuple[JointFit, ...]  # torque over time, for a picture
     # what all of it was made of
     problem: Problem
+    priors: Priors
+    calibration: MotionCalibration
     solution: Solution
 
     @functools.cached_property
@@ -124,6 +137,36 @@ class MotionFit:
             trend_of(self.joints, self.problem, self.solution, number)
             for number in range(self.problem.loaded)
         )
+
+    @functools.cached_property
+    def along_chain(self) -> ChainParts | None:
+        """The mass by the joints before one joint and by the others, there where the two differ most; None for a single joint."""
+        cuts = range(1, len(self.joints))
+        if not cuts:
+            return None
+        cut = max(cuts, key=self._differ_at)
+        near = self.problem.only(self.problem.joint < cut)
+        far = self.problem.only(self.problem.joint >= cut)
+        return ChainParts(
+            self.joints[cut],
+            solve(near, self.priors, self.calibration).mass_and_std(),
+            solve(far, self.priors, self.calibration).mass_and_std(),
+        )
+
+    def _differ_at(self, cut: int) -> float:
+        """By how many standard deviations the joints before a joint and the others differ, with the weights of the whole fit."""
+        before = self.problem.joint < cut
+        near, near_std = self._mass_by(before)
+        far, far_std = self._mass_by(~before)
+        return abs(near - far) / float(np.hypot(near_std, far_std))
+
+    def _mass_by(self, mine: NDArray[np.bool_]) -> tuple[float, float]:
+        """Mass and its formal standard deviation [kg] by some of the equations, shape (E,)."""
+        solution = self.solution
+        scaled = solution.scaled[mine]
+        side = scaled.T @ (self.problem.torque * solution.weight)[mine]
+        values, covariance = posterior(scaled.T @ scaled, side, solution.prior)
+        return float(values[0]), float(np.sqrt(covariance[0, 0]))
 
     @property
     def unexplained(self) -> FloatArray:
@@ -449,6 +492,8 @@ def fit_payload(
         tells=tells,
         shown=_shown(problem, solution, calibration, loaded),
         problem=problem,
+        priors=priors,
+        calibration=calibration,
         solution=solution,
     )
 

@@ -118,6 +118,27 @@ def unexplained_torque(
         )
 
 
+def joints_disagree(name: str, fit: MotionFit) -> Iterator[Refusal]:
+    """Where the joints near the base and the others, each alone, say masses that the interval does not allow.
+
+    An effort of some joints in another unit, with and without the payload alike, shows itself nowhere else: what an arm weighs
+    on its wrist is open in its URDF.
+    """
+    parts = fit.along_chain
+    if parts is None:
+        return
+    (near, near_std), (far, far_std) = parts.near, parts.far
+    # what the interval counts beside the residuals may differ from part to part
+    std = np.sqrt(near_std**2 + far_std**2 + fit.covariance[0, 0])
+    if abs(near - far) > APART_SIGMAS * std:
+        yield rejected(
+            "misfit",
+            "the joints say different masses",
+            f"{name}: the joints before {parts.first_far} say {shown('kg', near, spec='.0f')}, that one and those after it "
+            f"{shown('kg', far, spec='.0f')}: are the efforts of some joints in another unit, or their torque constants wrong?",
+        )
+
+
 def times(factor: float) -> str:
     """A factor in words: what is beyond a hundred has no digits that mean something."""
     return f"{factor:.2f} times" if abs(factor) < 100.0 else "over 100 times"

@@ -516,6 +516,7 @@ def _refusals(
                 f"{name}: the first half says {shown('kg', early, spec='.0f')}, the second {shown('kg', late, spec='.0f')}: "
                 "was something picked up or put down meanwhile? Record the motions with and without it apart",
             )
+    yield from refusals.joints_disagree(name, fit)
     unexplained = refusals.deciding(fit.tells, fit.unexplained)
     yield from refusals.unexplained_torque(
         fit.joints, unexplained, "the arm, its friction and a payload", f"{name}: "
