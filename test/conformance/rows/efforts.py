@@ -47,6 +47,22 @@ ROWS = (
     ),
     *(
         Row(
+            name=f"{words}_halved",
+            section=_SECTION,
+            trouble=f"firmware halves {words.replace('_', ' ')}, with the load and without it",
+            base="ur10e",
+            bends=(Bent("joints_scaled", {"joints": joints, "factor": 0.5}),),
+            verdicts=_REFUSED,
+            codes=("misfit", "other_torque"),
+            cause="unit",
+        )
+        for words, joints in (
+            ("elbow_and_two_wrists", ["elbow_joint", "wrist_1_joint", "wrist_2_joint"]),
+            ("two_wrists", ["wrist_1_joint", "wrist_2_joint"]),
+        )
+    ),
+    *(
+        Row(
             name=f"effort_{how}_from_60_percent{'' if len(of) > 1 else '_loaded_alone'}",
             section=_SECTION,
             trouble=f"after a controller was switched, the effort {words} from 60 % of the recording on",
