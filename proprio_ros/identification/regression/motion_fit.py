@@ -109,8 +109,6 @@ class MotionFit:
     driven: FloatArray  # rms of the mean torque itself [N m], shape (n,)
     # half width of a 95 % interval in standard deviations: Student's, by the number of stretches
     quantile: float
-    # mass and its standard deviation from the first and from the second half [kg]; None where they are too short
-    halves: tuple[tuple[float, float], tuple[float, float]] | None
     arm_kg: float  # mass of all that moves of the arm
     # by how much the torques of the arm's own bodies are those that its URDF says
     arm_over_urdf: float
@@ -136,6 +134,26 @@ class MotionFit:
         return tuple(
             trend_of(self.joints, self.problem, self.solution, number)
             for number in range(self.problem.loaded)
+        )
+
+    @functools.cached_property
+    def halves(self) -> tuple[tuple[float, float], tuple[float, float]] | None:
+        """Mass and its standard deviation [kg] by the first and by the second half of the motions with the payload.
+
+        The motions with an empty hand count with both. None where there are too few stretches to be halved.
+        """
+        if self.stretches < 2 * MIN_STRETCHES:
+            return None
+        problem = self.problem
+        late = np.zeros(len(problem.motion), dtype=bool)
+        for number in range(problem.loaded):
+            mine = problem.motion == number
+            late |= mine & (problem.stretch > np.median(problem.stretch[mine]))
+        first = problem.only(~late)
+        second = problem.only(late | ~problem.carrying)
+        return (
+            solve(first, self.priors, self.calibration).mass_and_std(),
+            solve(second, self.priors, self.calibration).mass_and_std(),
         )
 
     @functools.cached_property
@@ -482,7 +500,6 @@ def fit_payload(
         misfit=misfit,
         driven=problem.rms_by_joint(problem.torque, carrying),
         quantile=budget.quantile,
-        halves=_weighed_by_halves(problem, priors, calibration, stretches),
         arm_kg=arm.kg,
         arm_over_urdf=calibration.arm_over_urdf,
         payload_prior=solution.payload_prior,
@@ -531,28 +548,6 @@ def _priors(
     per_kg = priors.per_kg.copy()
     per_kg[1:4] = np.maximum(centre[1], LEAST_PLACE_STD_M)
     return replace(priors, per_kg=per_kg)
-
-
-def _weighed_by_halves(
-    problem: Problem, priors: Priors, calibration: MotionCalibration, stretches: int
-) -> tuple[tuple[float, float], tuple[float, float]] | None:
-    """Mass and its standard deviation [kg] by the first and by the second half of the motions with the payload.
-
-    The motions with an empty hand count with both. None where there are too few stretches to be halved.
-    """
-    if stretches < 2 * MIN_STRETCHES:
-        return None
-    late = np.zeros(len(problem.motion), dtype=bool)
-    for number in range(problem.loaded):
-        mine = problem.motion == number
-        late |= mine & (problem.stretch > np.median(problem.stretch[mine]))
-    first = solve(problem.only(~late), priors, calibration)
-    second = solve(
-        problem.only(late | ~problem.carrying),
-        priors,
-        calibration,
-    )
-    return first.mass_and_std(), second.mass_and_std()
 
 
 def _refuse_other_joints(
