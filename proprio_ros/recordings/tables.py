@@ -35,6 +35,7 @@ MOST_ROWS = 1_000_000  # a quarter of an hour at 1 kHz
 MOST_BYTES = 500_000_000
 MOST_COLUMNS = 2000
 PER_UNIT = 10**9  # times are counted in so many parts of their unit, so that none is rounded
+_TOGETHER = 8192  # rows that are turned into numbers at once
 _MOST_BEFORE = 200  # lines before the first row: comments, and the header
 _MISSING = {"", "nan", "na", "n/a", "null", "none", "-", "nil", "#n/a"}
 _COMMENT = re.compile(r"\s*(#|%|//)+\s*")
@@ -146,21 +147,29 @@ class _TextTable(Table):
         self._form = form
 
     def read(self, time: int, others: Sequence[int]) -> Cells:
+        marks = _Marks(self.path)
+        ticks: list[int | None] = []
+        parts: dict[int, list[FloatArray]] = {place: [] for place in others}
+        notes: list[str] = []
+        dated: bool | None = None
         with _readable(self.path, "a table"):
-            rows, notes = self._rows([time, *others])
-            cells = [list(column) for column in zip(*rows, strict=True)]
-            cells = _with_points(cells, self.path)
-            ticks, dated = _ticks(cells[0], self.headers[time], self.path)
-            numbers = {
-                place: _numbers(column, self.headers[place], self.path)
-                for place, column in zip(others, cells[1:], strict=True)
-            }
-        return Cells(ticks, dated, numbers, notes)
+            for rows in self._rows([time, *others], notes):
+                first, *columns = marks.with_points(
+                    [list(each) for each in zip(*rows, strict=True)]
+                )
+                dated = _are_dates(first) if dated is None else dated
+                before = len(ticks)
+                for place, column in zip(others, columns, strict=True):
+                    parts[place].append(_numbers(column, self.headers[place], before, self.path))
+                ticks += _ticks(first, dated, self.headers[time], before, self.path)
+        numbers = {place: np.concatenate(found) for place, found in parts.items()}
+        return Cells(ticks, bool(dated), numbers, tuple(notes))
 
-    def _rows(self, places: Sequence[int]) -> tuple[list[list[str]], tuple[str, ...]]:
-        """The wanted cells of all rows; a last row that breaks off is left out, and noted."""
+    def _rows(self, places: Sequence[int], notes: list[str]) -> Iterator[list[list[str]]]:
+        """The wanted cells of rows, some at a time; a last row that breaks off is left out, and noted."""
         width = len(self.headers)
         found: list[list[str]] = []
+        count = 0
         broken = 0
         for number, cells in self._cells():
             if broken:
@@ -171,13 +180,21 @@ class _TextTable(Table):
             if len(cells) < width or any(cell.strip() for cell in cells[width:]):
                 broken = number
                 continue
-            if len(found) == MOST_ROWS:
+            count += 1
+            if count > MOST_ROWS:
                 raise RecordingError(f"has more than {MOST_ROWS} rows: cut it", self.path)
             found.append([cells[place].strip() for place in places])
-        if not found:
+            if len(found) == _TOGETHER:
+                yield found
+                found = []
+        if not count:
             raise RecordingError("has a header and no row: record it again", self.path)
-        cut = "the last line breaks off, as of a recorder that was killed; it was left out"
-        return found, (cut,) * bool(broken)
+        if broken:
+            notes.append(
+                "the last line breaks off, as of a recorder that was killed; it was left out."
+            )
+        if found:
+            yield found
 
     def _cells(self) -> Iterator[tuple[int, list[str]]]:
         with self.path.open(encoding="utf-8-sig", newline="") as stream:
@@ -272,28 +289,39 @@ def _all_numbers(cells: Sequence[str]) -> bool:
     return len(cells) > 1 and bool(filled) and len(numbers) == len(filled)
 
 
-def _with_points(cells: list[list[str]], path: Path) -> list[list[str]]:
-    """The same with decimal points; refuses a text that has both points and commas."""
-    if not any("," in cell for column in cells for cell in column):
-        return cells
-    points = next((c for column in cells for c in column if "." in c and not _DATE.match(c)), "")
-    if points:
-        comma = next(c for column in cells for c in column if "," in c)
-        raise RecordingError(
-            f"has numbers with a point ({shortly(points)}) and others with a comma ({shortly(comma)}): which one is decimal?",
-            path,
+class _Marks:
+    """Whether numbers have decimal points or commas."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._comma = ""  # the first number with either
+        self._point = ""
+
+    def with_points(self, cells: list[list[str]]) -> list[list[str]]:
+        """Columns of texts with decimal points. Raises `RecordingError`: There were both points and commas until now."""
+        self._point = self._point or next(
+            (c for column in cells for c in column if "." in c and not _DATE.match(c)), ""
         )
-    return [[cell.replace(",", ".") for cell in column] for column in cells]
+        commas = next((c for column in cells for c in column if "," in c), "")
+        self._comma = self._comma or commas
+        if self._comma and self._point:
+            raise RecordingError(
+                f"has numbers with a point ({shortly(self._point)}) and others with a comma ({shortly(self._comma)}): which one "
+                "is decimal?",
+                self._path,
+            )
+        return [[c.replace(",", ".") for c in column] for column in cells] if commas else cells
 
 
-def _numbers(cells: Sequence[str], header: str, path: Path) -> FloatArray:
+def _numbers(cells: Sequence[str], header: str, before: int, path: Path) -> FloatArray:
+    """Numbers of cells, of which so many were before."""
     found = np.empty(len(cells))
     for row, cell in enumerate(cells):
         try:
             found[row] = float(cell)
         except ValueError:
             if cell.lower() not in _MISSING:
-                raise _no_number(cell, header, row, path) from None
+                raise _no_number(cell, header, before + row, path) from None
             found[row] = np.nan
     return found
 
@@ -302,9 +330,15 @@ def _no_number(cell: str, header: str, row: int, path: Path) -> RecordingError:
     return RecordingError(f"{header} is {shortly(cell)} in row {row + 1}, and no number", path)
 
 
-def _ticks(cells: Sequence[str], header: str, path: Path) -> tuple[list[int | None], bool]:
-    """Times in billionths of their unit, without rounding; and whether they were dates."""
-    dated = next((bool(_DATE.match(cell)) for cell in cells if cell.lower() not in _MISSING), False)
+def _are_dates(cells: Sequence[str]) -> bool | None:
+    """Whether the first time is a date; None where there is none."""
+    return next((bool(_DATE.match(cell)) for cell in cells if cell.lower() not in _MISSING), None)
+
+
+def _ticks(
+    cells: Sequence[str], dated: bool | None, header: str, before: int, path: Path
+) -> list[int | None]:
+    """Times, or dates, in billionths of their unit, without rounding."""
     found: list[int | None] = []
     for row, cell in enumerate(cells):
         if cell.lower() in _MISSING:
@@ -313,8 +347,8 @@ def _ticks(cells: Sequence[str], header: str, path: Path) -> tuple[list[int | No
         try:
             found.append(PER_UNIT * _date_ns(cell) if dated else _tick(Decimal(cell)))
         except (InvalidOperation, ValueError, OverflowError):
-            raise _no_number(cell, header, row, path) from None
-    return found, dated
+            raise _no_number(cell, header, before + row, path) from None
+    return found
 
 
 def _tick(value: Decimal) -> int | None:

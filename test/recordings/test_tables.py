@@ -33,6 +33,7 @@ from proprio_ros.cli import main
 from proprio_ros.errors import ConfigurationError, ProprioError, RecordingError
 from proprio_ros.pipeline.check import check_bags
 from proprio_ros.pipeline.request import Options, read_request
+from proprio_ros.recordings import tables
 from proprio_ros.recordings.drivers import columns_files
 from proprio_ros.recordings.effort import Effort
 from proprio_ros.recordings.headers import Kind, header_of
@@ -623,6 +624,22 @@ def test_what_is_harmless_is_left_out_and_noted(tmp_path: Path) -> None:
     notes = " ".join(recording.notes)
     assert "the last line breaks off" in notes and "1 of 59 rows have no time" in notes
     assert "lack some of the joints" in notes
+
+
+def test_a_long_table_is_read_part_by_part(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    found = elbow(count=100)
+    table = bare(tmp_path / "log.csv", found)
+    whole = read(table)
+    monkeypatch.setattr(tables, "_TOGETHER", 7)
+    same(whole, read(table))
+    lines = table.read_text().splitlines()
+    lines[41] = lines[41].replace(",", ",x", 1)
+    table.write_text("\n".join(lines))
+    assert "in row 41, and no number" in refusal(table)
+    rest = ";1;1;1;1;1"
+    rows_ = [f"0.{row}{rest}" if row < 50 else f"0,{row}{rest}" for row in range(10, 90)]
+    table.write_text("\n".join([f"t [s];{Q.replace(',', ';')}", *rows_]))
+    assert "which one is decimal" in refusal(table)
 
 
 def test_topics_are_not_for_tables(tmp_path: Path) -> None:
