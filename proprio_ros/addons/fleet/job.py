@@ -114,8 +114,7 @@ def run_batch(
     _check_options(engine, job.options, empty, empty_first_s)
     job = replace(job, options=_located(job.options))
     episodes = episodes_of(sources)
-    _check_units(episodes, job.options)
-    job = replace(job, columns_files=columns_files(each.path for each in episodes))
+    job = _of_known_units(job, episodes)
     empty_hand = EmptyHand.of(episodes, job.options, empty, empty_first_s)
     job = empty_hand.calibrating(job, Path(out), tell)
     using = Engine(engine, processes or processors(), address, chunk, bars)
@@ -278,8 +277,12 @@ def _check_options(
         ray_or_refuse()
 
 
-def _check_units(episodes: Sequence[Episode], options: Options) -> None:
-    """Raises: ConfigurationError: nobody says what the numbers of a data set are in."""
+def _of_known_units(job: Job, episodes: Sequence[Episode]) -> Job:
+    """The job with the files that say what columns of tables are.
+
+    Raises: ConfigurationError: nobody says what the numbers of a data set are in.
+    """
+    options = job.options
     driver = None if options.driver is None else load_driver(options.driver)
     if any(episode.index is not None for episode in episodes) and (
         driver is None or driver.columns is None
@@ -288,6 +291,7 @@ def _check_units(episodes: Sequence[Episode], options: Options) -> None:
             "a data set does not say what its positions and its effort are in: give --driver lerobot (degrees), "
             "lerobot_openarm, lerobot_rad, or your own file with columns"
         )
+    return replace(job, columns_files=columns_files(each.path for each in episodes))
 
 
 def self_calibrated(
