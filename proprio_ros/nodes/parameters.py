@@ -40,7 +40,10 @@ def declare(node: Node, parameters: Sequence[Parameter]) -> dict[str, Any]:
         # an empty list would be declared as one of bytes, and could never be set to one of strings
         default = [""] if parameter.default == [] else parameter.default
         node.declare_parameter(parameter.name, default, descriptor(parameter))
-    values = {parameter.name: value_of(node, parameter.name) for parameter in parameters}
+    values = {
+        parameter.name: parameter.as_known(value_of(node, parameter.name))
+        for parameter in parameters
+    }
     return values | {
         parameter.name: str(values[parameter.name]) for parameter in parameters if parameter.loose
     }

@@ -20,6 +20,7 @@ from proprio_ros.excitation.hold import HoldGains
 from proprio_ros.probes import all_probes, virtual_objects
 from proprio_ros.probes.base import Guards as GuardsObject
 from proprio_ros.probes.base import HasBaseline, Probe
+from proprio_ros.quantity import EFFORTS, unit_called
 from proprio_ros.recordings.effort import EFFORT_UNITS
 
 INPUT_TOPICS = {
@@ -52,6 +53,11 @@ class Parameter:
     dynamic: bool = False  # whether it may be changed while the node runs
     loose: bool = False  # a text that may look like a number: ``-p object:=0.05`` comes as one
     choices: tuple[str, ...] = ()  # all values that there are, beside the default; empty: any
+
+    def as_known(self, value: Any) -> Any:
+        """The value; of a unit of effort the name by which it is known, however it was written."""
+        units = bool(self.choices) and set(self.choices) <= set(EFFORTS)
+        return unit_called(value, EFFORTS) if units and isinstance(value, str) else value
 
     def check(self, value: Any) -> None:
         """Raises: ConfigurationError: The value is none of the choices."""

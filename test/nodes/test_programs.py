@@ -185,3 +185,19 @@ def test_security_that_the_middleware_lacks_is_one_line(tmp_path: Path) -> None:
     assert own[0].startswith("not started: ")
     if "security libraries" in own[0] or "built without security" in own[0]:
         assert own[0].endswith("use ROS 2 from apt, or unset it")
+
+
+def test_a_unit_is_known_however_it_is_written() -> None:
+    units = [
+        parameter
+        for parameters in NODES.values()
+        for parameter in parameters
+        if parameter.name == "effort_unit"
+    ]
+    assert len(units) == 3
+    for parameter in units:
+        assert parameter.as_known("Nm") == "N.m"
+        parameter.check(parameter.as_known("amps"))
+        with pytest.raises(ConfigurationError):
+            parameter.check(parameter.as_known("lbf"))
+        assert parameter.as_known("") == ""
