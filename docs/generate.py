@@ -28,6 +28,7 @@ from typing import Any
 
 import conformance_page
 import figures
+import notebook
 import refusals_page
 import settings_page
 from connections import Connection, Reader
@@ -365,6 +366,9 @@ def pages() -> dict[Path, str]:
         PAGES / "settings.md": settings_page.page(NOTE, _table, _Once("as above")),
         PAGES / "refusals.md": refusals_page.page(NOTE),
         PAGES / "conformance.md": conformance_page.page(NOTE, _table),
+        PAGES.parents[1] / "examples" / "first_weighing.ipynb": notebook.notebook(
+            notebook.unexecuted(notebook.SCRIPT.read_text(encoding="utf-8")), ran=False
+        ),
         **measured(),
     }
 

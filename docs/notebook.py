@@ -80,6 +80,11 @@ def executed(text: str) -> tuple[Cell, ...]:
     )
 
 
+def unexecuted(text: str) -> tuple[Cell, ...]:
+    """All cells as they are before anybody runs them: what lies in `examples`, to be opened as it is."""
+    return tuple(Cell(markdown, body) for markdown, body in cells(text))
+
+
 def page(found: tuple[Cell, ...]) -> str:
     """As Markdown."""
     parts = []
@@ -116,8 +121,8 @@ def _coded(text: str) -> str:
     return base64.b64encode(text.encode()).decode()
 
 
-def notebook(found: tuple[Cell, ...]) -> str:
-    """As Jupyter keeps it (format 4.5)."""
+def notebook(found: tuple[Cell, ...], ran: bool = True) -> str:
+    """As Jupyter keeps it (format 4.5), after all cells ran or before."""
     listed = []
     count = 0
     for number, cell in enumerate(found):
@@ -145,7 +150,14 @@ def notebook(found: tuple[Cell, ...]) -> str:
                     "metadata": {},
                 }
             )
-        listed.append({"cell_type": "code", **common, "execution_count": count, "outputs": outputs})
+        listed.append(
+            {
+                "cell_type": "code",
+                **common,
+                "execution_count": count if ran else None,
+                "outputs": outputs,
+            }
+        )
     kernel = {"kernelspec": {"name": "python3", "display_name": "Python 3", "language": "python"}}
     return (
         json.dumps(

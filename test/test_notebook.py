@@ -44,6 +44,18 @@ def test_the_first_notebook() -> None:
     assert "".join(kept["cells"][0]["source"]) == text[0].source
 
 
+def test_the_notebook_of_the_examples_is_that_of_the_page_before_it_ran() -> None:
+    text = notebook.SCRIPT.read_text(encoding="utf-8")
+    written = (notebook.SCRIPT.parents[1] / "examples" / "first_weighing.ipynb").read_text()
+    assert written == notebook.notebook(notebook.unexecuted(text), ran=False)
+    kept = json.loads(written)
+    code = [cell for cell in kept["cells"] if cell["cell_type"] == "code"]
+    assert len(code) > 5
+    assert all(cell["outputs"] == [] and cell["execution_count"] is None for cell in code)
+    for cell in code:
+        compile("".join(cell["source"]), "cell", "exec")
+
+
 def test_a_cell_shows_what_its_last_line_gives() -> None:
     found = notebook.executed(
         "# %% [markdown]\n# # Title\n#\n# words\n# %%\nx = 2\nprint(x)\nx + 1\n# %%\ny = x\n"
