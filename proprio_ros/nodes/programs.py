@@ -8,12 +8,14 @@ from __future__ import annotations
 import difflib
 import importlib
 import logging
+import os
 import shutil
+import signal
 import sys
 import textwrap
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 from proprio_ros.errors import ConfigurationError, ProprioError, one_line
 from proprio_ros.nodes.interface import about, interface_of
@@ -55,6 +57,8 @@ def _run(node: str, words: Sequence[str]) -> int:
     if "--version" in words:
         sys.stdout.write(f"proprio_{node} {__version__}\n")
         return 0
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, _leave)
     try:
         check_words(node, words)
         main = loaded(f"proprio_ros.nodes.{node}").main
@@ -62,6 +66,11 @@ def _run(node: str, words: Sequence[str]) -> int:
         logging.getLogger("proprio_ros").error("proprio_%s: %s", node, error)
         return CANNOT_START
     return int(main())
+
+
+def _leave(_number: int, _frame: Any) -> NoReturn:
+    """Asked to end while libraries are loaded, where an exception could land anywhere: nothing is held yet."""
+    os._exit(0)
 
 
 def loaded(module: str) -> Any:

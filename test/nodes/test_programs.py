@@ -201,3 +201,17 @@ def test_a_unit_is_known_however_it_is_written() -> None:
         with pytest.raises(ConfigurationError):
             parameter.check(parameter.as_known("lbf"))
         assert parameter.as_known("") == ""
+
+
+@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM"])
+def test_a_program_that_is_ended_while_it_loads_ends_without_a_word(name: str) -> None:
+    code = (
+        "import os, signal, sys\n"
+        "from proprio_ros.nodes import programs\n"
+        "signal.signal(signal.SIGINT, signal.SIG_IGN)  # as a shell starts what it does not wait for\n"
+        f"programs.loaded = lambda module: os.kill(os.getpid(), signal.{name})\n"
+        "sys.exit(programs.driver())"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert done.stderr == done.stdout == ""
