@@ -195,10 +195,7 @@ def _answered(
             grasps = Grasps(here, robot, motion)
         if grasps is not None:
             grasps.add(motion, 0.0 if span is None else 1e-9 * span[0])
-    if grasps is not None:
-        found = _of_grasps(episode, rows, grasps)
-        rows = [*(_with_change(row, found) for row in rows), *found]
-    return rows
+    return rows if grasps is None else _with_grasps(episode, rows, grasps)
 
 
 def _with_change(row: Row, grasps: Sequence[Row]) -> Row:
@@ -223,11 +220,12 @@ def _within(request: Request, span: Span | None) -> Request:
     return replace(request, options=replace(request.options, span=span))
 
 
-def _of_grasps(episode: Episode, rows: Sequence[Row], grasps: Grasps) -> list[Row]:
-    """A row of each stretch with one load, beside those of the episode's parts."""
+def _with_grasps(episode: Episode, rows: Sequence[Row], grasps: Grasps) -> list[Row]:
+    """The rows of an episode's parts, and a row of each stretch with one load."""
     whole = next(row for row in rows if row["kind"] != FAILED)
     used = calibration_used(grasps.robot.source)
-    return [_of_grasp(episode, whole, grasp, used) for grasp in grasps.found()]
+    found = [_of_grasp(episode, whole, grasp, used) for grasp in grasps.found()]
+    return [*(_with_change(row, found) for row in rows), *found]
 
 
 def _place(row: Row, span: Span) -> Row:
