@@ -120,9 +120,20 @@ def unusable(run: PreparedRun) -> str:
         cure = f"probe with more current or from a pose that leaves at least {LITTLE_TRAVEL} rad of travel"
         return Reason(
             "stuck",
-            f"{run.run.joint} moved only {abs(run.travel):.3f} rad, {so}: {cure}",
+            f"{run.run.joint} moved only {abs(run.travel):.3f} rad, {_moved_instead(run) or so}: {cure}",
         )
     return ""
+
+
+def _moved_instead(run: PreparedRun) -> str:
+    """Which joint moved while the one that is said to be driven did not; empty where none did."""
+    farthest = max(run.run.held_span, key=lambda joint: run.run.held_span[joint], default="")
+    if not farthest or run.run.held_span[farthest] < LITTLE_TRAVEL / 2.0:
+        return ""
+    return (
+        f"while {farthest} moved {run.run.held_span[farthest]:.2f} rad: are the columns of the two joints exchanged, or was the "
+        "command for another joint? If not"
+    )
 
 
 def admitted(robot: Robot, run: PreparedRun, found: Findings) -> bool:

@@ -64,6 +64,10 @@ UNEVEN_S, UNEVEN_SHARE = 1e-3, 0.15
 count."""
 Budget = Sequence[tuple[str, float]]
 """Sources of uncertainty, and the standard deviation that each puts on the value, in its unit; the largest first."""
+MOVED_BEFORE = (
+    "as if the joint had moved before the command, or the command were stamped late or early"
+)
+"""What a start velocity says that no rest has."""
 
 
 @dataclass(frozen=True)
@@ -280,9 +284,10 @@ class Assessment:
                 continue
             off = f"{abs(row.pull):.1f} standard deviations from what was known"
             known = shown(row.unit, row.prior, row.prior_std, between=" +- ")
+            means = f", {MOVED_BEFORE}" if row.kind == "v0" else ""
             far[row.name] = (
                 abs(row.pull),
-                f"{row.name} came out as {shown(row.unit, row.value)}, {off} ({known})",
+                f"{row.name} came out as {shown(row.unit, row.value)}, {off} ({known}){means}",
             )
         furthest = sorted(far.values(), reverse=True)[:NAMED_AT_MOST]
         sentences = [sentence for _, sentence in furthest]

@@ -529,7 +529,7 @@ def _refusals(
             "misfit",
             "the model does not explain the recording",
             f"{name}: the torque of {fit.joints[worst]} is explained {ratio[worst]:.1f} times worse than with an empty hand: was "
-            "the payload held firmly, and did nothing touch the arm?",
+            "the payload held firmly, did nothing touch the arm, and are the joints' zeros where they were?",
         )
     yield from refusals.unlike_urdf(fit.arm_over_urdf, motions[0])
     yield from refusals.far_from_prior(fit.arm, known)

@@ -166,7 +166,7 @@ def push_clock_at_another_pace(tape: Tape, rng: Rng, factor: float) -> Tape:
 
 @bend(
     "pushes",
-    Right(cause=r"step|jump|clock|stamp|order"),
+    Right(cause=r"step|jump|clock|stamp|order|exchanged"),
     needs="push",
     joint=_arm(4),
     other=_arm(4),
