@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -51,8 +52,20 @@ def urdf(heavier: np.ndarray | None = None, held_kg: float = 0.0) -> str:
     return f'<robot name="gantry">{"".join(parts)}</robot>'
 
 
-def record(path: Path, rng: np.random.Generator, truth: dict[str, np.ndarray], kg: float) -> None:
-    """Write 20 s along sines, with dry and viscous friction, rotors of 2 kg, and forces that are read some percent off."""
+class Sines:
+    """What the slides are to follow: a sum of four sines each."""
+
+    def __init__(self, rng: np.random.Generator, times_s: np.ndarray) -> None:
+        speed = rng.uniform(0.4, 2.2, (3, 4))
+        size = rng.uniform(0.05, 0.2, (3, 4))
+        angle = speed * times_s[:, None, None] + rng.uniform(0.0, 6.0, (3, 4))
+        self.position = (size * np.sin(angle)).sum(-1)  # (T, 3) [m]
+        self.velocity = (size * speed * np.cos(angle)).sum(-1)
+        self.acceleration = -(size * speed**2 * np.sin(angle)).sum(-1)
+
+
+def gantry(truth: dict[str, np.ndarray], kg: float) -> Any:
+    """With rotors of 2 kg."""
     import mujoco
 
     spec = mujoco.MjSpec.from_string(urdf(truth["heavier"], kg))
@@ -61,30 +74,41 @@ def record(path: Path, rng: np.random.Generator, truth: dict[str, np.ndarray], k
     model.opt.timestep = STEP_S
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_LIMIT
     model.dof_armature[:] = 2.0
+    return model
+
+
+def driven(
+    model: Any, rng: np.random.Generator, truth: dict[str, np.ndarray]
+) -> list[tuple[float, np.ndarray, np.ndarray, np.ndarray]]:
+    """Time [s], positions, velocities and forces as they are read, 100 times a second from the first second on."""
+    import mujoco
+
     data = mujoco.MjData(model)
     times_s = np.arange(0.0, 21.0, STEP_S)
-    speed = rng.uniform(0.4, 2.2, (3, 4))
-    size = rng.uniform(0.05, 0.2, (3, 4))
-    angle = speed * times_s[:, None, None] + rng.uniform(0.0, 6.0, (3, 4))
-    position = (size * np.sin(angle)).sum(-1)
-    velocity = (size * speed * np.cos(angle)).sum(-1)
-    acceleration = -(size * speed**2 * np.sin(angle)).sum(-1)
-    data.qpos[:] = position[0]
-    data.qvel[:] = velocity[0]
+    goal = Sines(rng, times_s)
+    data.qpos[:] = goal.position[0]
+    data.qvel[:] = goal.velocity[0]
     full = np.zeros((3, 3))
     rows = []
     mujoco.mj_forward(model, data)
-    for step in range(len(times_s)):
+    for step, now_s in enumerate(times_s):
         inertia_matrix(model, data, full)
-        back = 225.0 * (position[step] - data.qpos) + 30.0 * (velocity[step] - data.qvel)
-        force = full @ (acceleration[step] + back) + data.qfrc_bias
+        back = 225.0 * (goal.position[step] - data.qpos)
+        back = back + 30.0 * (goal.velocity[step] - data.qvel)
+        force = full @ (goal.acceleration[step] + back) + data.qfrc_bias
+        force = force + truth["viscous"] * goal.velocity[step]
         lost = truth["viscous"] * data.qvel + truth["dry"] * np.tanh(data.qvel / 0.02)
-        data.qfrc_applied[:] = force + truth["viscous"] * velocity[step] - lost
-        if step * STEP_S >= 1.0 and step % 5 == 0:
-            read = truth["scale"] * (force + truth["viscous"] * velocity[step])
-            noise = 0.3 * rng.standard_normal(3)
-            rows.append((times_s[step], data.qpos.copy(), data.qvel.copy(), read + noise))
+        data.qfrc_applied[:] = force - lost
+        if now_s >= 1.0 and step % 5 == 0:
+            read = truth["scale"] * force + 0.3 * rng.standard_normal(3)
+            rows.append((now_s, data.qpos.copy(), data.qvel.copy(), read))
         mujoco.mj_step(model, data)
+    return rows
+
+
+def record(path: Path, rng: np.random.Generator, truth: dict[str, np.ndarray], kg: float) -> None:
+    """Write 20 s along sines, with dry and viscous friction, and forces that are read some percent off."""
+    rows = driven(gantry(truth, kg), rng, truth)
     stamps_s, at, moving, forces = (np.array(column) for column in zip(*rows, strict=True))
     times_ns = 1_700_000_000_000_000_000 + np.rint(1e9 * stamps_s).astype(np.int64)
     noisy = at + 1e-5 * rng.standard_normal(at.shape)

@@ -19,8 +19,10 @@ from proprio_ros.pipeline.request import Options, Request, request_of
 from proprio_ros.probes.base import Online, Recorded
 from proprio_ros.recordings.contents import parts_of
 from proprio_ros.recordings.datasets import parts_of_episode
+from proprio_ros.recordings.motions import Motion
 from proprio_ros.recordings.text import is_text_recording
 from proprio_ros.records import Span
+from proprio_ros.robot import Robot
 from proprio_ros.schema import calibration_used, reason_codes
 from proprio_ros.threads import one_blas_thread
 from proprio_ros.version import __version__
@@ -160,6 +162,23 @@ def _later(span: Span | None, job: Job) -> Span | None:
     return None if end_ns is not None and end_ns <= after_ns else (max(begin_ns, after_ns), end_ns)
 
 
+@dataclass(frozen=True)
+class _Part:
+    """One part of an episode, or all of it, and what was answered."""
+
+    request: Request
+    row: Row
+    robot: Robot | None = None  # None where the part could not be read
+    read: Recorded | None = None
+
+    @property
+    def motion(self) -> Motion | None:
+        """In which grasps may be looked for."""
+        if self.row["kind"] == FAILED or not isinstance(self.request.probe, Online):
+            return None
+        return self.read.motions[0] if self.read is not None and self.read.motions else None
+
+
 def _answered(
     episode: Episode,
     job: Job,
@@ -171,31 +190,56 @@ def _answered(
     rows: list[Row] = []
     grasps: Grasps | None = None
     for span in spans:
-        here = _within(request, span)
-        read: Recorded | None = None
-        try:
-            robot, read = read_for(here, [episode.path])
-            if several and read.runs:
-                return []
-            row = _whole(episode, here, read, identify(here, robot, read, [episode.path]))
-        except ProprioError as error:
-            if span is None or of_the_machine(error):
-                raise
-            row = failed_row(episode, job, str(error), "unreadable")
-        if span is not None:
-            row |= _place(row, span)
-        if several and row["kind"] == EPISODE:
-            row["kind"] = PART
-        rows.append(row)
-        wanted = job.grasps and row["kind"] != FAILED and isinstance(here.probe, Online)
-        if read is None or not read.motions or not wanted:
+        part = _answered_part(episode, job, _within(request, span), span, several)
+        if part is None:
+            return []
+        rows.append(_placed(part.row, span, several))
+        motion = part.motion if job.grasps else None
+        if motion is None or part.robot is None:
             continue
-        (motion, *_) = read.motions
-        if grasps is None and robot.motion_calibration is not None:
-            grasps = Grasps(here, robot, motion)
+        if grasps is None and part.robot.motion_calibration is not None:
+            grasps = Grasps(part.request, part.robot, motion)
         if grasps is not None:
             grasps.add(motion, 0.0 if span is None else 1e-9 * span[0])
     return rows if grasps is None else _with_grasps(episode, rows, grasps)
+
+
+def _answered_part(
+    episode: Episode, job: Job, request: Request, span: Span | None, several: bool
+) -> _Part | None:
+    """Read one part and answer; a row of what is wrong where it cannot be read, None for one of several that holds pushes.
+
+    Args:
+        episode: Whose part it is.
+        job: What is asked.
+        request: Within the part.
+        span: From when to when [ns]; None for all of it, of which a mistake is raised.
+        several: Whether the episode has more parts.
+
+    Raises:
+        ProprioError: The machine is at fault, or there are no parts.
+    """
+    robot: Robot | None = None
+    read: Recorded | None = None
+    try:
+        robot, read = read_for(request, [episode.path])
+        if several and read.runs:
+            return None
+        row = _whole(episode, request, read, identify(request, robot, read, [episode.path]))
+    except ProprioError as error:
+        if span is None or of_the_machine(error):
+            raise
+        row = failed_row(episode, job, str(error), "unreadable")
+    return _Part(request, row, robot, read)
+
+
+def _placed(row: Row, span: Span | None, several: bool) -> Row:
+    """A row with the place of its part."""
+    if span is not None:
+        row |= _place(row, span)
+    if several and row["kind"] == EPISODE:
+        row["kind"] = PART
+    return row
 
 
 def _with_change(row: Row, grasps: Sequence[Row]) -> Row:
