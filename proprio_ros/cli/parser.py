@@ -340,9 +340,9 @@ def _live(add: Callable[..., Parser]) -> None:
         command=obey.live,
         help="driver, excitation and identifier, on an arm or a virtual one",
         description="Start what `ros2 launch proprio_ros calibration.launch.py` starts, with the same arguments, where there is no "
-        "`ros2`; then `proprio call` in another terminal. Ctrl-C, SIGTERM, and a node that dies end all of them: the arm is "
+        "`ros2`; then `proprio call` in another terminal. Ctrl-C, SIGTERM, and the end of the driver end all of them: the arm is "
         "released, or held where the driver's parameter on_shutdown says so.",
-        epilog="Exit code: 0 ended by Ctrl-C or SIGTERM, 2 could not run, or a node died.",
+        epilog="Exit code: 0 ended by Ctrl-C or SIGTERM, 2 could not run, or the driver died.",
     )
     for name, argument in ARGUMENTS.items():
         flags = dict.fromkeys((f"--{name}", f"--{name.replace('_', '-')}"))

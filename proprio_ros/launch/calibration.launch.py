@@ -89,7 +89,7 @@ def _nodes(context: LaunchContext) -> list[Any]:
 def _ended(node: str, event: Any, context: LaunchContext) -> list[Any]:
     """End all others, too, where that is so; with exit code 1 where it was an error."""
     words = f"the {node} node has ended"
-    if not ends_all(node, event.returncode):
+    if not ends_all(node):
         return []
     if event.returncode == 0 or context.is_shutdown:
         return [Shutdown(reason=words)]

@@ -118,19 +118,19 @@ class Graph:
         """How much all nodes have printed so far [bytes]: more of it is progress."""
         return sum(log.stat().st_size for log in self.logs.glob("*.log"))
 
-    def ended(self) -> Iterator[tuple[str, int, str]]:
-        """Nodes that have ended by themselves: name, exit code, and how in words, with the last line that it printed."""
+    def ended(self) -> Iterator[tuple[str, str]]:
+        """Nodes that have ended by themselves: name, and how in words, with the last line that it printed."""
         for node, process in self.processes.items():
             code = process.poll()
             if code is None:
                 continue
             lines = self.log(node).strip().splitlines() or ["without a word"]
             how = f" (killed by {signal.Signals(-code).name})" if code < 0 else ""
-            yield node, code, f"the {node} node has ended{how}: {lines[-1]}"
+            yield node, f"the {node} node has ended{how}: {lines[-1]}"
 
     def check(self) -> None:
         """Raises: ConfigurationError: a node has ended, with the last line it printed."""
-        for _, _, words in self.ended():
+        for _, words in self.ended():
             raise ConfigurationError(words)
 
     def stop(

@@ -29,7 +29,7 @@ def live(
     tell: Callable[[str], None],
     show: Callable[[str], None],
 ) -> None:
-    """Start the nodes, and end them all when it is asked for (SIGINT, SIGTERM, SIGHUP) or one of them has died.
+    """Start the nodes, and end them all when it is asked for (SIGINT, SIGTERM, SIGHUP) or the driver or virtual robot has died.
 
     Args:
         stated: The arguments.
@@ -71,11 +71,11 @@ def _watch(
     """Show what the nodes say until they are to end; why, where it was not asked for."""
     while not asked:
         shown.more()
-        for node, code, words in list(graph.ended()):
-            if ends_all(node, code):
+        for node, words in list(graph.ended()):
+            if ends_all(node):
                 return words
             graph.stop(node)
-            tell(words)
+            tell(f"{words}; {', '.join(graph.processes)} go on, and Ctrl-C ends them")
         time.sleep(LOOK_S)
     return ""
 

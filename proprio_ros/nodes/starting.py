@@ -55,17 +55,16 @@ def starts(stated: Stated) -> list[Start]:
     return found
 
 
-def ends_all(node: str, code: int) -> bool:
+def ends_all(node: str) -> bool:
     """Whether the end of a node ends all others, too.
 
-    Nothing can be weighed without the driver; started anew it would take hold of an arm that nobody expects to move. Somebody
-    may ask another node to end, and start it again with other parameters; one that dies ends the rest.
+    Nothing can be weighed without the driver; started anew it would take hold of an arm that nobody expects to move. Any other
+    may be started again, and the driver holds the arm meanwhile: an identifier that dies must not drop it.
 
     Args:
         node: Its name.
-        code: Of its end; 0: it was asked to end.
     """
-    return code != 0 or node in ("driver", "virtual")
+    return node in ("driver", "virtual")
 
 
 def services_for(held: str) -> list[str]:

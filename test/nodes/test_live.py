@@ -295,6 +295,16 @@ def test_a_driver_that_dies_ends_the_rest(arm: Arm) -> None:
         assert_gone(arm, live)
 
 
+def test_an_identifier_that_dies_drops_no_arm(arm: Arm) -> None:
+    with lives(arm) as live:
+        arm.begin_push()
+        os.kill(live.node("identifier"), signal.SIGKILL)
+        assert wait_for(lambda: "the identifier node has ended (killed by SIGKILL)" in live.told)
+        assert not arm.at_rest(), "the driver goes on"
+        assert live.end(signal.SIGTERM) == EXIT_OK, live.told
+        assert_gone(arm, live)
+
+
 def test_no_node_outlives_a_live_that_is_killed(arm: Arm) -> None:
     with lives(arm) as live:
         assert len(live.alive()) >= 4

@@ -84,11 +84,10 @@ def test_what_is_not_understood_is_refused_before_anything_starts(
 
 
 def test_whose_end_ends_the_rest() -> None:
-    assert ends_all("driver", 0)
-    assert ends_all("virtual", 0)
-    assert ends_all("identifier", 2)
-    assert ends_all("excitation", -9)
-    assert not ends_all("identifier", 0), "somebody asked it to end"
+    assert ends_all("driver")
+    assert ends_all("virtual")
+    assert not ends_all("identifier"), "the driver holds the arm meanwhile"
+    assert not ends_all("excitation")
 
 
 def test_what_to_call_follows_from_what_the_hand_holds() -> None:
