@@ -184,18 +184,26 @@ def listed(namespace: str, tell: Callable[[str], None]) -> list[Listed]:
         def ready() -> list[str]:
             return [node for node, client in clients.items() if client.service_is_ready()]
 
-        if not _until(caller, lambda: len(ready()) == len(NODES), SAY_S) and not ready():
+        def there() -> set[str]:
+            return {name for name, _ in caller.node.get_service_names_and_types()}
+
+        def complete(node: str) -> bool:
+            return {each.service for each in _services_of(node, namespace, "")} <= there()
+
+        if not _until(caller, lambda: len(ready()) == len(NODES), SAY_S):
             tell(f"looking for nodes in {_where(namespace)}")
-            _until(caller, lambda: bool(ready()), SEEN_S)
+            _until(caller, lambda: len(ready()) == len(NODES), SEEN_S)
         states = {node: clients[node].call_async(GetState.Request()) for node in ready()}
         _until(caller, lambda: all(state.done() for state in states.values()), SEEN_S)
-        there = {name for name, _ in caller.node.get_service_names_and_types()}
+        # a node's services are heard of one after another
+        _until(caller, lambda: all(map(complete, states)), SEEN_S)
+        offered = there()
         found = []
         for node, state in states.items():
             if state.done():
                 label = str(state.result().current_state.label)
                 found += [
-                    each for each in _services_of(node, namespace, label) if each.service in there
+                    each for each in _services_of(node, namespace, label) if each.service in offered
                 ]
         if not found:
             raise ConfigurationError(
