@@ -39,7 +39,7 @@ FIRST_SWING_ERROR = 0.02
 # below this speed the direction of a swing is not read off its samples for certain [rad/s]
 SLOW = 0.1
 FOLLOWED_SHARE = 0.5
-"""A motor whose effort scatters by more than this part of what its command does follows the command."""
+"""Rank correlation of effort and command from which on a motor follows what its command scatters by."""
 FEWEST_NOISY, ALIKE_ROWS = 5, 0.5
 """Rows of a command without which nothing is said of its noise, and the correlation of neighbours from which on it is no noise."""
 MIN_SLOW = 3  # slow samples needed to relate reported effort to the command
@@ -360,13 +360,16 @@ def _steadied(run: Run, drive: DriveTrain) -> tuple[Run, float]:
     if mean == 0.0 or reported == 0.0:
         return run, 0.0
     scatter = float(command[seen].std())
-    # the median: neighbours of fast samples and an outlier are no noise that was followed
-    away = np.abs(run.reported_effort[seen] - np.median(run.reported_effort[seen]))
-    followed = 1.4826 * float(np.median(away)) * abs(mean / reported)
+    effort = run.reported_effort[seen] * np.sign(mean * reported)
+    # some motors report what they were commanded a sample before
+    followed = max(
+        rank_correlation(command[seen], effort),
+        rank_correlation(command[seen][:-1], effort[1:]),
+    )
     off = run.input_current_A - run.input_current_A.mean()
     alike = float(off[1:] @ off[:-1]) / float(off @ off)
     # an excitation that alternates goes on for some rows each way
-    if followed > FOLLOWED_SHARE * scatter or alike > ALIKE_ROWS:
+    if followed > FOLLOWED_SHARE or alike > ALIKE_ROWS:
         return run, 0.0
     lasts_s = np.diff(np.append(run.input_times_s, run.duration_s))
     level = float(run.input_current_A @ lasts_s) / float(lasts_s.sum())
@@ -381,6 +384,20 @@ def _steadied(run: Run, drive: DriveTrain) -> tuple[Run, float]:
         notes=(*run.notes, note),
     )
     return steady, scatter / float(np.sqrt(len(off)))
+
+
+def rank_correlation(one: np.ndarray, other: np.ndarray) -> float:
+    """Spearman's, shape (K,) each, which single outliers hardly change; 0 where one of the two stands still."""
+    ranks = [_ranks(values) for values in (one, other)]
+    lengths = [float(np.linalg.norm(each)) for each in ranks]
+    return float(ranks[0] @ ranks[1]) / (lengths[0] * lengths[1]) if min(lengths) > 0.0 else 0.0
+
+
+def _ranks(values: np.ndarray) -> np.ndarray:
+    """About their mean; equal values share one, shape (K,)."""
+    _, which, counts = np.unique(values, return_inverse=True, return_counts=True)
+    last = np.cumsum(counts)
+    return (last - 0.5 * (counts - 1) - 0.5 * (len(values) + 1))[which]
 
 
 def _followed(run: Run, velocity: np.ndarray, drive: DriveTrain) -> np.ndarray:

@@ -108,7 +108,7 @@ ELSEWHERE = {
     # what real processes take while nothing is done: in real time, where the computer is not shared
     "idle",
     "old_news",  # beside a load, for minutes: test/world/test_old_news.py asks the same in simulated time
-    "first_time",  # asks an index of packages, for minutes
+    "first_time", "public_urdfs",  # ask an index of packages, for minutes: test/robot/test_published_urdfs.py has one file a kind
     "case", "figures", "filled_arm", "results",  # no benchmarks
 }  # fmt: skip
 SHORTER: dict[str, dict[str, float]] = {

@@ -7,10 +7,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.stats import spearmanr
 
 from proprio_ros.errors import RecordingError
 from proprio_ros.experiment_design.candidates import still_run
-from proprio_ros.identification.prepared_runs import KnownLoad, joints_of, prepare_run
+from proprio_ros.identification.prepared_runs import (
+    KnownLoad,
+    joints_of,
+    prepare_run,
+    rank_correlation,
+)
 from proprio_ros.recordings.runs import cut_runs
 from proprio_ros.recordings.signals import read_recording
 from proprio_ros.records import Run
@@ -149,3 +155,33 @@ def test_what_the_hand_weighs_at_rest(robot: Robot) -> None:
     )
     assert run.torque_stds.shape == (3,)
     assert np.all(run.torque_stds >= 0.0)
+
+
+@pytest.mark.parametrize("few", [4, 60])
+def test_ranks_are_correlated_as_scipy_says(few: int) -> None:
+    rng = np.random.default_rng(few)
+    one = rng.integers(0, few, 30).astype(float)
+    other = one + rng.integers(0, few, 30)
+    assert rank_correlation(one, other) == pytest.approx(spearmanr(one, other).statistic)
+    assert rank_correlation(one, np.ones(30)) == 0.0
+
+
+def alternating(effort_A: np.ndarray) -> Run:
+    """A joint that hardly moves, driven one way and the other, 0.1 s each; its effort [A] at each sample."""
+    run = moving(0.01)
+    steps = 6
+    return replace(
+        run,
+        input_times_s=0.1 * np.arange(steps),
+        input_current_A=np.resize([0.011, -0.027], steps),
+        reported_effort=np.resize(effort_A, len(run.times_s)),
+    )
+
+
+def test_an_excitation_that_alternates_is_no_noise(robot: Robot) -> None:
+    at = np.minimum((moving(0.01).times_s / 0.1).astype(int), 5)
+    follows = np.resize([0.011, -0.027], 6)[at]
+    driven = prepare_run(robot, alternating(follows), KnownLoad())
+    assert len(driven.run.input_current_A) == 6
+    steady = prepare_run(robot, alternating(np.array([-0.008])), KnownLoad())
+    assert len(steady.run.input_current_A) == 1, "the motor never followed: its mean is taken"

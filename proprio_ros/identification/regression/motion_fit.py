@@ -82,6 +82,10 @@ class FittedTerms:
     std: FloatArray  # how well that is known, shape (P,)
 
 
+LEAST_PART = 0.01
+"""Joints that contribute less to what is known of a mass say nothing against the others: a guess."""
+
+
 @dataclass(frozen=True)
 class ChainParts:
     """The mass by two parts of an arm's joints, each alone."""
@@ -158,8 +162,13 @@ class MotionFit:
 
     @functools.cached_property
     def along_chain(self) -> ChainParts | None:
-        """The mass by the joints before one joint and by the others, there where the two differ most; None for a single joint."""
-        cuts = range(1, len(self.joints))
+        """The mass by the joints before one joint and by the others, there where the two differ most.
+
+        None where one of any two parts contributes next to nothing.
+        """
+        near_tells = np.cumsum(self.tells)[:-1]  # by the joints before joint 1, 2, ..
+        contribute = np.minimum(near_tells, 1.0 - near_tells) > LEAST_PART
+        cuts = [1 + int(number) for number in np.flatnonzero(contribute)]
         if not cuts:
             return None
         cut = max(cuts, key=self._differ_at)
