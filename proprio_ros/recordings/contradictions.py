@@ -188,7 +188,7 @@ def refuse_other_current(
         if not stretches:
             continue
         gain = Gain.of(stretches)
-        per_A = _effort_per_ampere(name, gain, effort, _units(effort, recording, own))
+        per_A = _effort_per_ampere(name, gain, effort, _units(effort, recording))
         if per_A is None:
             continue
         where = f"{recording.name}: by its effort"
@@ -200,19 +200,22 @@ def refuse_other_current(
     return delivered
 
 
-def _units(
-    effort: Effort,
-    recording: Recording,
-    own: bool,
-) -> set[str]:
+def _units(effort: Effort, recording: Recording) -> set[str]:
     """In which an effort may be, beside what was commanded.
 
-    Our driver publishes torque. An effort in A, which is 1.8 times as much, is taken beside its commands only where it is stated:
-    else a command that is half of what flowed would look like one.
+    Only our driver takes currents as commands, and it publishes torque. An effort in A, which is 1.8 times as much, is taken beside
+    such commands only where it is stated: else a command that is half of what flowed would look like one. An applied effort may
+    stand beside another driver's joint states.
     """
     if recording.commanded is not None and effort.unit is not None:
         return {effort.unit}
-    return {unit for unit in EFFORT_UNITS if not own or unit != "A" or effort.unit == "A"}
+    units = set(EFFORT_UNITS)
+    currents = {each.topic for each in OUR_DRIVER.inputs if each.unit == "A"}
+    inputs = recording.commanded or recording.inputs
+    commanded = inputs is not None and inputs.source.rpartition("/")[2] in currents
+    if commanded and effort.unit != "A":
+        units.discard("A")
+    return units
 
 
 @dataclass(frozen=True)
