@@ -350,8 +350,10 @@ def call(options: argparse.Namespace, given: Sequence[str]) -> int:
         raise ConfigurationError("call: name a service, such as calibrate_payload, or --list them")
     _settings(options.set)
     _join(options.domain)
+    from proprio_ros.nodes.arguments import checked_namespace
+
     nodes = _with_ros("proprio_ros.nodes.call")
-    namespace = options.namespace.strip("/")
+    namespace = checked_namespace(options.namespace)
     if options.list:
         found = nodes.listed(namespace, say)
         rows = [asdict(each) for each in found]

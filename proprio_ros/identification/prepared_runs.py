@@ -40,6 +40,7 @@ FIRST_SWING_ERROR = 0.02
 SLOW = 0.1
 FOLLOWED_SHARE = 0.5
 """Rank correlation of effort and command from which on a motor follows what its command scatters by."""
+LATE_S = 0.05  # an effort may be reported so long after its command
 FEWEST_NOISY, ALIKE_ROWS = 5, 0.5
 """Rows of a command without which nothing is said of its noise, and the correlation of neighbours from which on it is no noise."""
 MIN_SLOW = 3  # slow samples needed to relate reported effort to the command
@@ -361,10 +362,9 @@ def _steadied(run: Run, drive: DriveTrain) -> tuple[Run, float]:
         return run, 0.0
     scatter = float(command[seen].std())
     effort = run.reported_effort[seen] * np.sign(mean * reported)
-    # some motors report what they were commanded a sample before
     followed = max(
-        rank_correlation(command[seen], effort),
-        rank_correlation(command[seen][:-1], effort[1:]),
+        rank_correlation(command[seen][: len(effort) - late], effort[late:])
+        for late in range(_samples_late(run, len(effort)))
     )
     off = run.input_current_A - run.input_current_A.mean()
     alike = float(off[1:] @ off[:-1]) / float(off @ off)
@@ -384,6 +384,12 @@ def _steadied(run: Run, drive: DriveTrain) -> tuple[Run, float]:
         notes=(*run.notes, note),
     )
     return steady, scatter / float(np.sqrt(len(off)))
+
+
+def _samples_late(run: Run, samples: int) -> int:
+    """How many samples an effort may come after its command, and one; half of them are left to be compared."""
+    period_s = float(np.median(np.diff(run.times_s)))
+    return 1 + min(int(LATE_S / period_s), samples // 2)
 
 
 def rank_correlation(one: np.ndarray, other: np.ndarray) -> float:

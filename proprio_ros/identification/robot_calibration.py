@@ -712,11 +712,13 @@ def _as_calibration(fitted: Fitted) -> Calibration:
 
 def _delivered(runs: Sequence[PreparedRun]) -> dict[str, Quantity]:
     """By joint which share of its commands a motor delivered in all runs that say it."""
-    shares: dict[str, list[Quantity]] = {}
+    shares: dict[str, dict[str, Quantity]] = {}
     for run in runs:
         if run.run.delivered is not None:
-            shares.setdefault(run.run.joint, []).append(run.run.delivered)
-    return {joint: _weighted_mean(values) for joint, values in shares.items()}
+            # all runs of a joint in one recording have its one share
+            recording = run.run.name.partition("#")[0]
+            shares.setdefault(run.run.joint, {})[recording] = run.run.delivered
+    return {joint: _weighted_mean(list(values.values())) for joint, values in shares.items()}
 
 
 def _weighted_mean(values: Sequence[Quantity]) -> Quantity:

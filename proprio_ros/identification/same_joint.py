@@ -123,7 +123,7 @@ class OtherJoint:
             mass_kg: What it would carry.
             loads_kg: That were known.
         """
-        known = np.log([load for load in loads_kg if load > 0.0] or [mass_kg])
+        known = np.log([load for load in loads_kg if load > 0.0] or [max(mass_kg, 1e-9)])
         off = float(np.log(max(mass_kg, 1e-9)) - known.mean())
         same = norm.pdf(off, scale=LIKE_KNOWN) * comparison.evidence
         other = norm.pdf(off, scale=np.hypot(LIKE_KNOWN, OTHER_LOADS))

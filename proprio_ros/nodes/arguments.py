@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import re
 import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+
+from proprio_ros.errors import ConfigurationError
 
 
 @dataclass(frozen=True)
@@ -34,6 +37,17 @@ ARGUMENTS = {
 """By name; texts, as they are typed."""
 
 
+def checked_namespace(text: str) -> str:
+    """Without slashes at its ends. Raises: ConfigurationError: ROS takes no such name."""
+    namespace = text.strip("/")
+    parts = namespace.split("/") if namespace else []
+    if not all(re.fullmatch(r"[A-Za-z_][A-Za-z0-9_]*", part) for part in parts):
+        raise ConfigurationError(
+            f"namespace {text!r}: letters, digits and _, and no digit first, with / between parts"
+        )
+    return namespace
+
+
 class Stated:
     """What the arguments state; empty: nothing.
 
@@ -49,8 +63,8 @@ class Stated:
 
     @property
     def namespace(self) -> str:
-        """Without slashes at its ends."""
-        return self["namespace"].strip("/")
+        """Without slashes at its ends. Raises: ConfigurationError: ROS takes no such name."""
+        return checked_namespace(self["namespace"])
 
     @property
     def virtual(self) -> bool:

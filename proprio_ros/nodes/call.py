@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from lifecycle_msgs.srv import GetState
 from rcl_interfaces.srv import SetParameters
@@ -236,16 +237,27 @@ def _opened(namespace: str, tell: Callable[[str], None]) -> Iterator[Caller]:
     before = {}
     for number in (signal.SIGINT, signal.SIGTERM):
         before[number] = signal.signal(number, lambda number, _: asked.append(number))
-    middleware.prepare()
-    caller = Caller(f"proprio_call_{os.getpid()}", tell, look, namespace=namespace)
+    caller: Caller | None = None
     try:
+        middleware.prepare()
+        caller = _caller(tell, look, namespace)
         yield caller
     except Interrupted:
         raise KeyboardInterrupt from None
     finally:
-        caller.close()
+        if caller is not None:
+            caller.close()
         for number, handler in before.items():
             signal.signal(number, handler)
+
+
+def _caller(tell: Callable[[str], None], look: Callable[[], None], namespace: str) -> Caller:
+    """A node that calls. Raises `ConfigurationError`: The middleware refuses one."""
+    try:
+        return Caller(f"proprio_call_{os.getpid()}", tell, look, namespace=namespace)
+    except RuntimeError as error:
+        rclpy.try_shutdown()
+        raise ConfigurationError(f"no call: {middleware.said_by_rcl(error)}") from error
 
 
 def _until(caller: Caller, ready: Callable[[], bool], seconds: float) -> bool:

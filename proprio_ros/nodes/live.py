@@ -45,6 +45,8 @@ def live(
             raise missing(module)
     asked: list[int] = []
     for number in ENDS:
+        if signal.getsignal(number) == signal.SIG_IGN:
+            continue  # as nohup has it: the arm is not to drop when a terminal is closed
         # obeyed below; a second one changes nothing: the nodes end in order
         signal.signal(number, lambda number, _: asked.append(number))
     with Graph(_log_folder()) as graph:

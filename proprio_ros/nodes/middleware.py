@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import logging
 import os
+import re
 import sys
 
 import rclpy
 
+from proprio_ros.errors import one_line
 from proprio_ros.inputs.resources import share_directory
 
 DISCOVERY = "ROS_AUTOMATIC_DISCOVERY_RANGE"
@@ -74,3 +76,16 @@ def warn_about_mixed_installations() -> None:
             sys.prefix,
             prefixes[0],
         )
+
+
+def said_by_rcl(error: Exception) -> str:
+    """What rcl or the middleware refuses, in a line, without the places in rcl's own source."""
+    words = re.sub(r", at /\S+", "", str(error))
+    if type(error).__name__ == "UnknownROSArgsError":
+        return f"unknown words after --ros-args: {words}; write -p NAME:=VALUE, --params-file FILE or -r __ns:=/NAME"
+    if "security libraries" in words:
+        return (
+            "ROS_SECURITY_ENABLE is set, and this Fast DDS is built without security, as that of the wheels is: use ROS 2 from "
+            "apt, or unset it"
+        )
+    return one_line(words.removeprefix("failed to initialize rcl: "))

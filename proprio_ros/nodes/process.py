@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import re
 import signal
 import sys
 import threading
@@ -17,7 +16,7 @@ from rclpy.lifecycle import TransitionCallbackReturn
 from rclpy.signals import SignalHandlerOptions
 
 from proprio_ros import clock
-from proprio_ros.errors import ConfigurationError, ProprioError, one_line
+from proprio_ros.errors import ConfigurationError, ProprioError
 from proprio_ros.nodes import middleware
 from proprio_ros.nodes.managed_node import ManagedNode
 
@@ -43,7 +42,7 @@ def run_node(make: Callable[[], ManagedNode], arguments: Sequence[str] | None = 
     try:
         rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
     except RuntimeError as error:  # words after --ros-args that rcl does not understand, or a file that it cannot read
-        logging.getLogger("proprio_ros").error("not started: %s", one_line(_said_by_rcl(error)))
+        logging.getLogger("proprio_ros").error("not started: %s", middleware.said_by_rcl(error))
         return CANNOT_START
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: ended.set())
@@ -51,14 +50,6 @@ def run_node(make: Callable[[], ManagedNode], arguments: Sequence[str] | None = 
         return live(make, ended)
     finally:
         rclpy.try_shutdown()
-
-
-def _said_by_rcl(error: RuntimeError) -> str:
-    """Without the places in rcl's own source."""
-    words = re.sub(r", at /\S+", "", str(error))
-    if type(error).__name__ == "UnknownROSArgsError":
-        return f"unknown words after --ros-args: {words}; write -p NAME:=VALUE, --params-file FILE or -r __ns:=/NAME"
-    return words.removeprefix("failed to initialize rcl: ")
 
 
 def _made(make: Callable[[], ManagedNode]) -> ManagedNode:
@@ -71,13 +62,7 @@ def _made(make: Callable[[], ManagedNode]) -> ManagedNode:
     except (ProprioError, ParameterException):
         raise
     except RuntimeError as error:
-        said = one_line(_said_by_rcl(error))
-        if "security libraries" in said:
-            said = (
-                "ROS_SECURITY_ENABLE is set, and this Fast DDS is built without security, as that of the wheels is: use ROS 2 "
-                "from apt, or unset it"
-            )
-        raise ConfigurationError(f"not started: {said}") from error
+        raise ConfigurationError(f"not started: {middleware.said_by_rcl(error)}") from error
 
 
 def live(make: Callable[[], ManagedNode], ended: clock.Event) -> int:

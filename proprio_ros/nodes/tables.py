@@ -379,6 +379,7 @@ IDENTIFIER = (
         "",
         "Which way effort of the joint states counts, as with --effort-sign: -1, or JOINT=-1,JOINT=-1; empty: as the robot "
         "file or the driver's profile says.",
+        loose=True,
     ),
     Parameter(
         "frame_prefix",

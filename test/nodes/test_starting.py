@@ -83,6 +83,12 @@ def test_what_is_not_understood_is_refused_before_anything_starts(
     assert str(caught.value).startswith(reason)
 
 
+@pytest.mark.parametrize("namespace", ["a-b", "/1x", "arm 1", "arm//left"])
+def test_a_namespace_that_ros_does_not_take_is_refused(namespace: str) -> None:
+    with pytest.raises(ProprioError, match="letters, digits and _"):
+        starts(Stated({"namespace": namespace}))
+
+
 def test_whose_end_ends_the_rest() -> None:
     assert ends_all("driver")
     assert ends_all("virtual")

@@ -499,3 +499,14 @@ def test_a_calibration_that_another_program_laid_out_anew_is_the_same(
     with file.open("w") as stream:
         plain.dump(content, stream)
     assert load_robot(file).calibration is not None
+
+
+@pytest.mark.parametrize(("folder", "kg"), [(HEAVY_BALL, 0.05), (CUBE, 0.023)])
+def test_more_pushes_make_no_less_of_a_command_that_is_off_in_all_of_them(
+    arm: Robot, folder: Path, kg: float
+) -> None:
+    """Four pushes as one recording has them, with 3 % more commanded than flowed."""
+    (run,) = runs_in(bends.scaled_command(recorded(folder), 1.03))
+    pushes = [replace(run, name=f"push#{number}") for number in range(4)]
+    mass = weigh(arm, pushes, simulated.facts_of(folder)).values[0]
+    assert mass.ci95[0] < kg < mass.ci95[1]
