@@ -69,6 +69,10 @@ class SignForm(Form):
         for part in value.split(","):
             name, equals, sign = part.rpartition("=")
             joint = name.strip()
+            if not equals and every is not None:
+                raise FormError(
+                    f"{shortly(value)} has several signs without a joint; give one, or JOINT=-1 for each"
+                )
             if not equals:
                 every = _sign(sign)
             elif joint in joints:

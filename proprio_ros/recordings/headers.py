@@ -117,10 +117,16 @@ def header_of(text: str) -> Header:
     return _with_unit(Header(text, kind, "_".join(rest), number=_number_of(rest)), unit)
 
 
-def as_position(header: Header) -> Header:
-    """The same of a header that only names a joint: its position."""
-    _, unit = _split_unit(header.text)
-    return _with_unit(replace(header, kind=Kind.POSITION), unit)
+def as_kind(header: Header, kind: Kind) -> Header:
+    """The same of a header that is stated to be of a kind, with its unit as one of that kind."""
+    bare, unit = _split_unit(header.text)
+    unit = unit or _without_ending(plain(bare).split("_"), bare)[1]
+    return _with_unit(replace(header, kind=kind, unit=None, unknown_unit=""), unit)
+
+
+def without_unit(text: str) -> str:
+    """A header without the unit in brackets behind it."""
+    return _split_unit(text)[0]
 
 
 def _is_stamp(words: list[str]) -> bool:

@@ -114,7 +114,7 @@ def fitted_names(
     joints = options.joint_order
     if not options.fits_names or set(recorded) & set(joints):
         return Fitted(options, {})
-    ways = ways_of(recorded, joints)
+    ways = ways_of([name for name in recorded if name not in options.limits], joints)
     if not ways:
         return Fitted(options, {})
     if len(ways) > 1:

@@ -127,11 +127,24 @@ def table_bag(table: Table, layout: Layout) -> TableBag:
     if np.isnan(tables[Kind.POSITION]).all():
         first = layout.of(Kind.POSITION)[0].header.text
         raise RecordingError(f"no row has a position ({first} ..): record it again", table.path)
+    _refuse_appended(times_ns, tables[Kind.POSITION], called, table.path)
     order = np.argsort(times_ns, kind="stable")
     streams = _streams(
         layout, times_ns[order], {kind: each[order] for kind, each in tables.items()}
     )
     return TableBag(table.path, notes, streams)
+
+
+def _refuse_appended(times_ns: TimeArray, position: FloatArray, called: str, path: Path) -> None:
+    """Raises `RecordingError`: Times begin anew, as where a recorder went on in the file of another recording."""
+    whole_ns = times_ns[~np.isnan(position).all(axis=1)]
+    back = np.flatnonzero(whole_ns[1:] < whole_ns[0] + np.ptp(whole_ns) // 10)
+    back = back[whole_ns[back] - whole_ns[back + 1] > np.ptp(whole_ns) // 2]
+    if len(back):
+        raise RecordingError(
+            f"{called} begins anew behind its row {back[0] + 1}: two recordings in one file; cut it there",
+            path,
+        )
 
 
 def _shown_unit(

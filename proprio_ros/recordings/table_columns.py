@@ -19,9 +19,10 @@ from proprio_ros.recordings.headers import (
     Header,
     HeaderUnit,
     Kind,
-    as_position,
+    as_kind,
     header_of,
     plain,
+    without_unit,
 )
 from proprio_ros.recordings.joint_names import fitted_names
 from proprio_ros.recordings.read_options import EFFORT, GOAL, POSITION, Columns, ReadOptions
@@ -154,9 +155,15 @@ def layout_of(
 
 def effort_unit_of(headers: Sequence[str], columns: Columns) -> str | None:
     """What measured effort is in, by headers alone or a file beside them; None where they do not say it in one way."""
-    parsed = [header for header in map(header_of, headers) if header.kind in DRIVING]
-    units = {header.unit.called for header in parsed if header.unit is not None}
-    return units.pop() if len(units) == 1 else columns.effort_unit
+    parsed = [header_of(header) for header in headers]
+    joints = {header.joint for header in parsed if header.kind is Kind.POSITION}
+    driving = [
+        each
+        for each in parsed
+        if each.kind in DRIVING and (each.number is not None or each.joint in joints)
+    ]
+    units = {each.unit.called if each.unit else "" for each in driving}
+    return (units.pop() if len(units) == 1 else "") or columns.effort_unit
 
 
 # ---------------------------------------------------------------- which column is what
@@ -216,7 +223,7 @@ def _called(given: _Stated, kind: Kind) -> list[tuple[int, Header]]:
     alone = [
         (place, each) for place, each in enumerate(given.headers) if _only_a_joint(given, each)
     ]
-    return [(place, as_position(each)) for place, each in alone]
+    return [(place, as_kind(each, Kind.POSITION)) for place, each in alone]
 
 
 def _only_a_joint(given: _Stated, header: Header) -> bool:
@@ -233,9 +240,10 @@ def _fitting(given: _Stated, kind: Kind, pattern: str) -> list[tuple[int, Header
     expression = re.escape(pattern).replace(r"\*", "(.+?)") + ending
     found = []
     for place, header in enumerate(given.headers):
-        fit = re.fullmatch(expression, header.text) or re.fullmatch(
-            expression + r"\s*[\[(]\D[^\])]*[\])]", header.text
+        fit = re.fullmatch(expression, without_unit(header.text)) or re.fullmatch(
+            expression, header.text
         )
+        header = as_kind(header, kind)
         if fit is None and header.text == pattern:
             found.append((place, replace(header, kind=kind, joint="", number=None)))
         elif fit is not None:

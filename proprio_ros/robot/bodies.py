@@ -32,7 +32,9 @@ _SLENDER = 0.25  # thickness of a finger over its length
 _NOWHERE_M = 1e-3  # joints this near to each other meet in one place, and need no body between them
 _LEAST_FINGER_M = 0.03
 _GRAVITY, _BRISK = 9.81, 10.0  # m/s^2, and an acceleration that arms work with [rad/s^2]
-_FINGER = re.compile("finger|jaw|knuckle|claw|thumb|gripper", re.I)
+_FINGER = re.compile("finger|jaw|knuckle|claw|thumb", re.I)
+_MOVES_FINGER = re.compile(f"{_FINGER.pattern}|gripper", re.I)
+"""Names of joints: what a joint called gripper moves is a finger, a link called so may be the whole hand."""
 _POINTS = "taken as points of their mass, which is below a gram"
 _FLAT = "no body has the inertia stated, taken as the nearest that one can have"
 _BALL = "no inertia about the centre stated, taken as that of a ball as dense as water"
@@ -366,9 +368,8 @@ class _Tree:
         if carries:
             return _Mend(body, _MADE) if is_nowhere else None
         joint = self.carrier[body]
-        names = (joint.name, joint.child)
-        is_called_so = any(map(_FINGER.search, names))
-        is_finger = is_called_so or joint.mimic is not None
+        is_called_so = _FINGER.search(joint.child) or _MOVES_FINGER.search(joint.name)
+        is_finger = bool(is_called_so) or joint.mimic is not None
         is_last = not self._behind[body]
         is_wheel = is_last and joint.parent not in self.body
         if not (is_finger or is_wheel):

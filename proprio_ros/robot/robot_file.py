@@ -189,6 +189,7 @@ def _read_settings(
     path: Path,
     below: tuple[Path, ...] = (),
     tip: Any = None,
+    frame: Any = None,
 ) -> dict[str, Any]:
     """One YAML file with all that it extends merged in, and the path of its URDF made absolute.
 
@@ -196,13 +197,16 @@ def _read_settings(
         path: Of the file, or of a description.
         below: Files that extend it.
         tip: Last link of the arm, where one is stated already.
+        frame: Where objects are held, where that is stated already.
     """
     if path in below:
         raise RobotError(
             f"{path}: files extend each other in a circle: {' -> '.join(p.name for p in (*below, path))}"
         )
     if is_description(str(path)):
-        return bare_settings(str(path), tip if isinstance(tip, str) else None)
+        return bare_settings(
+            str(path), *(each if isinstance(each, str) else None for each in (tip, frame))
+        )
     try:
         settings = dict(mapping(yaml_of(text_of(path, RobotError))))
         for key in ("urdf", "extends"):
@@ -218,16 +222,28 @@ def _read_settings(
     if settings.get("urdf") is not None:
         settings["urdf"] = _urdf_source(settings["urdf"], path)
     if "extends" in settings:
-        base = _read_settings(
-            _located(settings.pop("extends"), path.parent),
-            (*below, path),
-            tip or settings.get("tip"),
-        )
-        for kind in CALIBRATIONS:
-            if kind in settings:
-                base.pop(kind, None)  # a newer calibration replaces an older one as a whole
-        settings = merged(base, settings)
+        stated_tip = tip or settings.get("tip")
+        below_it = _located(settings.pop("extends"), path.parent)
+        stated_frame = frame or settings.get("payload_frame")
+        base = _read_settings(below_it, (*below, path), stated_tip, stated_frame)
+        if is_description(str(below_it)) and stated_tip is None:
+            _without_guess(base, settings)
+        settings = _extended(base, settings)
     return settings
+
+
+def _without_guess(base: dict[str, Any], settings: Mapping[str, Any]) -> None:
+    """Which joints are of the arm is guessed from a description alone; those that a file states count."""
+    if "joints" in settings:
+        base.pop("tip", None)
+
+
+def _extended(base: dict[str, Any], settings: Mapping[str, Any]) -> dict[str, Any]:
+    """A file's settings over those that it extends; a newer calibration replaces an older one as a whole."""
+    for kind in CALIBRATIONS:
+        if kind in settings:
+            base.pop(kind, None)
+    return merged(base, settings)
 
 
 def _urdf_source(text: str, source: Path) -> str:
@@ -273,18 +289,19 @@ def _located(name_or_path: str, folder: Path) -> Path:
     return resource("robots", name_or_path)
 
 
-def bare_settings(source: str, tip: str | None = None) -> dict[str, Any]:
+def bare_settings(source: str, tip: str | None = None, frame: str | None = None) -> dict[str, Any]:
     """What a description alone says: motors of its arm of which nothing is known, of slides only where they move the hand.
 
     Args:
         source: As in `read_model`.
         tip: Last link of the arm; None: of the only one.
+        frame: Where objects are held; of several hands that one is meant.
 
     Raises `RobotError`: It is no physical tree, or has several hands.
     """
     model = read_model(source)
     check_masses(model, Path(source).name)
-    tip = tip or tip_of(model)
+    tip = tip or _tip_for(model, frame)
     joints = model.independent_joints if tip is None else arm_joints(model, tip)
     frame = hand_link(model, tip)
     moving = path_to(model, frame)
@@ -300,6 +317,16 @@ def bare_settings(source: str, tip: str | None = None) -> dict[str, Any]:
         },
     }
     return settings if tip is None else {**settings, "tip": tip}
+
+
+def _tip_for(model: RobotModel, frame: str | None) -> str | None:
+    """As `tip_of` says; of several hands the one where objects are held. Raises `RobotError`: None of them is stated."""
+    try:
+        return tip_of(model)
+    except RobotError:
+        if frame not in {link.name for link in model.links}:
+            raise
+        return frame
 
 
 def _stated(settings: Mapping[str, Any]) -> dict[str, Any]:
@@ -690,7 +717,11 @@ def load_robot(
     Raises `RobotError`: There is no such robot, or its file or its URDF is wrong.
     """
     path = _located(str(name_or_path), Path())
-    settings = _read_settings(path, tip=(overrides or {}).get("tip"))
+    settings = _read_settings(
+        path,
+        tip=(overrides or {}).get("tip"),
+        frame=(overrides or {}).get("payload_frame"),
+    )
     model = None if settings.get("urdf") is None else read_model(settings["urdf"], of_bag)
     if not overrides or model is None or settings.get("calibration") is not None:
         robot = _robot(settings, path, model)
@@ -709,7 +740,11 @@ def with_recorded_torque(
     Torque then counts as current of 1 N m/A, known to a tenth, at joints whose torque constant nobody states, or only as that 1.
     What the user states beside that stays, and what a calibration learnt.
     """
-    settings = _read_settings(_located(str(name_or_path), Path()), tip=overrides.get("tip"))
+    settings = _read_settings(
+        _located(str(name_or_path), Path()),
+        tip=overrides.get("tip"),
+        frame=overrides.get("payload_frame"),
+    )
     if any(settings.get(section) is not None for section in CALIBRATIONS) or not isinstance(
         settings.get("joints"), Mapping
     ):

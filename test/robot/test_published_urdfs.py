@@ -125,7 +125,7 @@ READ: dict[str, tuple[str, str]] = {
     "axes that meet in one place": (WRIST, ""),
     "a wheel without inertia": (arm(joint("w", "base", "wheel"), wheel=SHAPE), "no mass stated"),
     "a frame that turns": (
-        arm(joint("r", "hand", "gripper"), gripper=GONE),
+        arm(joint("r", "hand", "finger"), finger=GONE),
         "left out, since nothing that moves with them has mass: r",
     ),
     "a wheel without limits": (

@@ -276,12 +276,15 @@ def check_carriers(robot: Robot, motions: Sequence[Motion], joints: Sequence[str
     base = robot.model.joint(joints[0]).parent
     down = []
     for motion in motions:
-        if not {*names} <= {*motion.beside}:
-            return
+        moving = [name for name in names if name in motion.beside]
+        if not {*names} <= {*moving, *motion.held}:
+            continue
         rows = np.linspace(0, len(motion.times_s) - 1, LOOKS).astype(int)
         for row in rows:
-            pose = {**motion.held, **{name: float(motion.beside[name][row]) for name in names}}
+            pose = {**motion.held, **{name: float(motion.beside[name][row]) for name in moving}}
             down.append(robot.gravity @ robot.model.frame_transform(base, pose)[:3, :3])
+    if not down:
+        return
     away = np.linalg.norm(np.array(down) - down[0], axis=1).max() / np.linalg.norm(robot.gravity)
     if names and away > LEANT_RAD:
         raise RecordingError(

@@ -155,10 +155,13 @@ class MotionFit:
             late |= mine & (problem.stretch > np.median(problem.stretch[mine]))
         first = problem.only(~late)
         second = problem.only(late | ~problem.carrying)
-        return (
-            solve(first, self.priors, self.calibration).mass_and_std(),
-            solve(second, self.priors, self.calibration).mass_and_std(),
-        )
+        return self._weighed_by(first), self._weighed_by(second)
+
+    def _weighed_by(self, part: Problem) -> tuple[float, float]:
+        """Mass and its standard deviation [kg] by some of the equations."""
+        mass, std = solve(part, self.priors, self.calibration).mass_and_std()
+        scale = self.calibration.torque_scale
+        return scale * mass, scale * std
 
     @functools.cached_property
     def along_chain(self) -> ChainParts | None:
@@ -174,11 +177,7 @@ class MotionFit:
         cut = max(cuts, key=self._differ_at)
         near = self.problem.only(self.problem.joint < cut)
         far = self.problem.only(self.problem.joint >= cut)
-        return ChainParts(
-            self.joints[cut],
-            solve(near, self.priors, self.calibration).mass_and_std(),
-            solve(far, self.priors, self.calibration).mass_and_std(),
-        )
+        return ChainParts(self.joints[cut], self._weighed_by(near), self._weighed_by(far))
 
     def _differ_at(self, cut: int) -> float:
         """By how many standard deviations the joints before a joint and the others differ, with the weights of the whole fit."""

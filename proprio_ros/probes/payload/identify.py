@@ -683,10 +683,10 @@ class Weighed(Conclusion):
             return
         more = shown("kg", more_kg, spec="+.1f")
         said = f"this pose does not tell the zero of {joint} from weight: {1e3 * LEAN_RAD:.0f} mrad more are {more}"
-        counted = f"the interval counts {1e3 * self.assessed.zero_repeat:g} mrad of each joint (zero_repeat_rad)"
+        counted = f"the interval counts {1e3 * self.assessed.zero_repeat:g} mrad (zero_repeat_rad)"
         ends = shown("kg", *self.if_zeros_moved(), spec=".1f", between=" to ")
-        wide = f"if horns or base may have moved by a degree, it is {ends}"
-        remedy = "an empty-hand run beside it (--baseline) tells them apart"
+        wide = f"with horns or base off by a degree it is {ends}"
+        remedy = "an empty hand beside it (--baseline) tells"
         yield Reason("leans_on_zero", f"{said}; {counted}; {wide}; {remedy}")
 
     def cautions(self, solver: SolverSummary) -> Iterator[str]:
