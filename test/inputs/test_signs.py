@@ -38,6 +38,8 @@ def test_all_joints_or_joint_by_joint(stated: object, elbow: int, wrist: int) ->
         "elbow",
         "elbow=2",
         "a=-1,a=1",
+        "-1,1,1",
+        "1,-1",
         True,
         None,
         [1],

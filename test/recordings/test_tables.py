@@ -585,6 +585,10 @@ WRONG: dict[str, tuple[Callable[[Path], object], str]] = {
     "a word": (changed("0.2,1,abc,1,1,1"), "'abc'"),
     "a short line": (changed("0.2,1"), "line 22"),
     "a long line": (changed("0.2,1,1,1,1,1,1"), "line 22"),
+    "two recordings": (
+        text("\n".join([f"t [s],{Q}"] + 2 * [f"{0.01 * row:.2f},1,1,1,1,1" for row in range(200)])),
+        "begins anew behind its row 200",
+    ),
     "no times": (rows(f"t [s],{Q}", "nan,1,1,1,1,1"), "no time in any row"),
     "nan": (rows(f"t [s],{Q}", "0.#,,nan,NA,null,"), "no row has a position"),
     "nanoseconds as seconds": (

@@ -94,6 +94,21 @@ def test_one_file_of_all_joints_serves_either_hand(two_arms: Path, tmp_path: Pat
     assert set(bare.drive_trains) == set(right.drive_trains) - set(TORSO)
 
 
+def test_where_objects_are_held_says_which_of_two_hands_is_meant(
+    two_arms: Path, tmp_path: Path
+) -> None:
+    """As a file of before there were tips has it, whose joints count as they are stated."""
+    path = tmp_path / "both.yaml"
+    motor = "{motor: {nominal_torque_constant_N_m_per_A: 2.0}}"
+    joints = (*TORSO[1:], *LEFT, *HEAD)
+    lines = [f"extends: {two_arms}\npayload_frame: left_tool0\njoints:"]
+    path.write_text("\n".join([*lines, *(f"  {name}: {motor}" for name in joints)]) + "\n")
+    assert set(HEAD) <= set(load_robot(path).drive_trains)
+    stated = {"payload_frame": "right_tool0"}
+    bare = load_robot(two_arms, with_recorded_torque(two_arms, stated) | stated)
+    assert not set(bare.drive_trains) & set(LEFT)
+
+
 def test_an_arm_on_wheels_with_a_head_is_found_by_itself() -> None:
     wheels = [joint(f"wheel_{n}", "base", f"wheel{n}") for n in range(2)]
     torso = [joint("lift", "base", "torso", kind="prismatic"), *limb("head", "torso", 2)]
