@@ -96,10 +96,10 @@ def read_recording(
         Effort(effort_unit, nominal_torque_constants, current_per_count_A),
         joint_order,
         conventions,
-        state_topic,
-        command_topic,
-        span,
-        states_only,
+        state_topic=state_topic,
+        command_topic=command_topic,
+        span=span,
+        states_only=states_only,
     )
     with open_bag(path) as bag:
         heard = hear(bag, options)

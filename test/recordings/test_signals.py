@@ -292,8 +292,8 @@ def test_the_meaning_of_effort_is_never_guessed(tmp_path: Path) -> None:
     )
     with refused(r"--effort-unit N\.m\|A\|mA\|raw"):
         read(path)
-    with refused(r"'counts' is not known; choose from N\.m, A, mA, raw", ConfigurationError):
-        read(path, effort_unit="counts")
+    with refused(r"'furlongs' is not known; choose from N\.m, A, mA, raw", ConfigurationError):
+        read(path, effort_unit="furlongs")
     assert read(path, effort_unit="raw", current_per_count_A=0.001).inputs.current_A[0, 0] == 0.1  # type: ignore[union-attr]
     with refused("torque constant for none of joint1"):
         read(path, effort_unit="N.m", nominal_torque_constants={})

@@ -57,7 +57,7 @@ def test_a_result(estimate: Estimate, tmp_path: Path) -> None:
     for row in estimate.unknowns:
         assert row.label in text
     for reason in estimate.reasons:
-        assert reason in text
+        assert reason.replace("+-", "±") in text
     assert [reader.classes.count(kind) for kind in ("chart", "plot", "arm")] == [3, 5, 1]
     assert page.stat().st_size < 60_000
     assert not list(tmp_path.glob(".*")), "the temporary file is gone"

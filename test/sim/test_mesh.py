@@ -181,7 +181,7 @@ def test_without_meshio_it_says_what_to_install(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "meshio", None)
-    with pytest.raises(ConfigurationError, match=r"proprio_ros\[mesh\]"):
+    with pytest.raises(ConfigurationError, match=r"meshio: .*\[mesh\]"):
         read_mesh(tmp_path / "block.vtk")
 
 
