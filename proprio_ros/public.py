@@ -42,6 +42,7 @@ MODULES: dict[str, tuple[str, ...]] = {
         "prepared_runs",
         "problem",
         "reasons",
+        "regression.at_rest",
         "regression.motion_fit",
         "regression.online",
         "robot_calibration",

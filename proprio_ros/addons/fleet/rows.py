@@ -14,6 +14,7 @@ from proprio_ros.addons.fleet.episodes import Episode
 from proprio_ros.addons.fleet.grasps import Grasp, Grasps
 from proprio_ros.errors import ProprioError, RecordingError, of_the_machine, one_line
 from proprio_ros.identification.estimate import Estimate, Value
+from proprio_ros.identification.regression.at_rest import check_carriers
 from proprio_ros.pipeline.replay import identify, read_for
 from proprio_ros.pipeline.request import Options, Request, request_of
 from proprio_ros.probes.base import Online, Recorded
@@ -195,13 +196,23 @@ def _answered(
             return []
         rows.append(_placed(part.row, span, several))
         motion = part.motion if job.grasps else None
-        if motion is None or part.robot is None:
+        if motion is None or part.robot is None or _leans(part.robot, motion, rows[-1]):
             continue
         if grasps is None and part.robot.motion_calibration is not None:
             grasps = Grasps(part.request, part.robot, motion)
         if grasps is not None:
             grasps.add(motion, 0.0 if span is None else 1e-9 * span[0])
     return rows if grasps is None else _with_grasps(episode, rows, grasps)
+
+
+def _leans(robot: Robot, motion: Motion, row: Row) -> bool:
+    """Whether what carries the arm leans over, so that no grasp is looked for: a running estimate has it at its mean."""
+    try:
+        check_carriers(robot, [motion], motion.joints)
+    except RecordingError as error:
+        row["notes"] = [*(row["notes"] or ()), f"no grasps are looked for: {error}"]
+        return True
+    return False
 
 
 def _answered_part(
