@@ -174,9 +174,12 @@ class UrdfReader:
         if len(items) < len(self._robot.findall(tag)):
             self._refuse()
         result = {item.name: item for item in items}
-        for name, count in Counter(item.name for item in items).items():
-            if count > 1:
-                self._problems.append(f"two {tag}s are named {name!r}; give each a name of its own")
+        counts = Counter(item.name for item in items)
+        twice = [repr(name) for name, count in counts.items() if count > 1]
+        if twice:
+            self._problems.append(
+                f"two {tag}s are named {some(twice)}; give each a name of its own"
+            )
         return result
 
     def _name(self, element: ElementTree.Element) -> str:

@@ -542,7 +542,7 @@ def test_topics_with_other_names_are_part_of_the_command_that_replays(
         "mA",
     )
     with pytest.raises(ConfigurationError, match=r"choose one of N\.m, A, mA, raw"):
-        nodes.identifier(data_directory=tmp_path, effort_unit="counts")
+        nodes.identifier(data_directory=tmp_path, effort_unit="furlongs")
 
 
 def test_a_robot_that_is_a_topic_is_ready_when_its_description_comes(
