@@ -45,6 +45,7 @@ def test_resources_of_an_installation(tmp_path: Path, installed: str) -> None:
     for name in (
         "__init__.py",
         "version.py",
+        "registry.py",
         "errors.py",
         "whole_files.py",
         "inputs/__init__.py",
