@@ -196,7 +196,7 @@ def prepare_run(
     drive = robot.drive_trains[run.joint]
     joint = robot.model.joint(run.joint)
     run, command_std_A = _steadied(at_the_shaft(robot, run), drive)
-    # by effort, too, the mean of a noisy command is off: the larger of the two, since they are the same
+    # noise of a command shows in the share that was delivered, too: it counts once, by the larger of the two
     command_std_A = max(command_std_A, _undelivered_A(robot, run))
     velocity = np.gradient(run.position, run.times_s)
     followed = _followed(run, velocity, drive)

@@ -212,13 +212,7 @@ def _mended(each: Stated, mass: float) -> tuple[Link, _Mend | None]:
         nearest,
         Spread(inertia=moment / whole),
     )
-    mend = _Mend(
-        each.name,
-        _FLAT,
-        centre_m=_length(each.at[:3, 3]),
-        moment=moment,
-    )
-    return flat, mend
+    return flat, _mend(each, _FLAT, moment)
 
 
 def _ball(each: Stated, mass: float) -> tuple[Link, _Mend]:
@@ -232,13 +226,12 @@ def _ball(each: Stated, mass: float) -> tuple[Link, _Mend]:
         moment * np.eye(3),
         Spread(inertia=1.0),
     )
-    mend = _Mend(
-        each.name,
-        _BALL,
-        centre_m=_length(each.at[:3, 3]),
-        moment=moment,
-    )
-    return ball, mend
+    return ball, _mend(each, _BALL, moment)
+
+
+def _mend(each: Stated, how: str, moment: float) -> _Mend:
+    """Of a body whose mass and place are as stated, by its largest moment that is another one [kg m^2]."""
+    return _Mend(each.name, how, centre_m=_length(each.at[:3, 3]), moment=moment)
 
 
 def _inertia_of(second: FloatArray) -> FloatArray:

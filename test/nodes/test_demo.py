@@ -18,6 +18,7 @@ pytest.importorskip("rclpy")
 pytest.importorskip("mujoco")
 
 from support.domains import free_domain
+from support.marked import MARK, alive
 from support.waiting import wait_for
 
 from proprio_ros.cli.terminal import EXIT_NO_ANSWER, EXIT_OK
@@ -48,16 +49,7 @@ class Demo:
 
     def alive(self) -> dict[int, str]:
         """Processes of this demo that are still there, with their command lines."""
-        found = {}
-        for process in Path("/proc").glob("[0-9]*"):
-            try:
-                if f"PROPRIO_TEST_MARK={self.mark}".encode() in (process / "environ").read_bytes():
-                    found[int(process.name)] = (
-                        (process / "cmdline").read_bytes().replace(b"\0", b" ").decode()
-                    )
-            except OSError:  # it has ended meanwhile
-                continue
-        return found
+        return alive(self.mark)
 
 
 def start(folder: Path, *more: str) -> Demo:
@@ -66,7 +58,7 @@ def start(folder: Path, *more: str) -> Demo:
     # demos that run side by side must not hear each other
     environment = {
         **os.environ,
-        "PROPRIO_TEST_MARK": mark,
+        MARK: mark,
         "ROS_DOMAIN_ID": free_domain(),
     }
     words = [

@@ -22,6 +22,7 @@ pytest.importorskip("mujoco")
 
 from support.domains import free_domain
 from support.live import UP_S, Client, running, wait_for
+from support.marked import MARK, alive
 from support.pushes import AWAY, one_push
 
 from proprio_ros.cli.terminal import EXIT_BAD_INPUT, EXIT_INTERRUPTED, EXIT_NO_ANSWER, EXIT_OK
@@ -70,15 +71,7 @@ class Live:
 
     def alive(self) -> dict[int, str]:
         """Its processes that are still there, with their command lines."""
-        found = {}
-        for process in Path("/proc").glob("[0-9]*"):
-            try:
-                if f"PROPRIO_TEST_MARK={self.mark}".encode() in (process / "environ").read_bytes():
-                    words = (process / "cmdline").read_bytes().replace(b"\0", b" ").decode()
-                    found[int(process.name)] = words
-            except OSError:  # it has ended meanwhile
-                continue
-        return found
+        return alive(self.mark)
 
     def node(self, name: str) -> int:
         """Process of a node."""
@@ -139,7 +132,7 @@ def lives(arm: Arm) -> Iterator[Live]:
     }
     words = ["live", "--port", str(arm.folder / "bus"), "--data-directory", str(arm.data)]
     words += ["--params-file", str(parameter_file(arm.folder, stated))]
-    environment = {**os.environ, "PROPRIO_TEST_MARK": mark, "ROS_LOG_DIR": str(arm.folder / "log")}
+    environment = {**os.environ, MARK: mark, "ROS_LOG_DIR": str(arm.folder / "log")}
     with said.open("wb") as stderr:
         process = subprocess.Popen(
             [*PROPRIO, *words],

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from support.arm_in_motion import SIX, Twin, write_robot
-from support.bends.messages import bent
+from support.bends.messages import Bend, bent, of_joint_states
 
 from proprio_ros.cli import main
 from proprio_ros.errors import ConfigurationError, RobotError
@@ -30,7 +30,6 @@ from proprio_ros.sim.payload import PayloadFacts
 
 ROOT = Path(__file__).resolve().parents[2]
 REAL = ROOT.parent / "shared" / "recordings_real"
-Bend = Callable[..., tuple[int, Any]]
 PUSH = ROOT / "bags" / "quantised_s00_fixed_heavy_ball_50g_joint3" / "bag_mcap"
 LIFT = "j2"
 Pair = tuple[Motion, Motion]
@@ -47,18 +46,12 @@ needs_ar5 = pytest.mark.skipif(
 def other_way(joints: Sequence[str] = ()) -> Bend:
     """Efforts of all joints, or of some, times -1."""
 
-    def bend(
-        topic: str,
-        time_ns: int,
-        message: Any,
-    ) -> tuple[int, Any]:
-        if topic == "/joint_states":
-            turned = np.array([not joints or name in joints for name in message.name])
-            signs = np.where(turned, -1.0, 1.0)
-            message.effort = signs * np.asarray(message.effort)
-        return time_ns, message
+    def turn(message: Any) -> None:
+        turned = np.array([not joints or name in joints for name in message.name])
+        signs = np.where(turned, -1.0, 1.0)
+        message.effort = signs * np.asarray(message.effort)
 
-    return bend
+    return of_joint_states(turn)
 
 
 # --- where it is stated, and that it is the same there ----------------------------------------------------------------

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from support.bends.messages import bent
+from support.bends.messages import Bend, bent, of_joint_states
 
 from proprio_ros.errors import RecordingError
 from proprio_ros.pipeline.check import check_bags
@@ -20,7 +19,6 @@ from proprio_ros.recordings.read_options import ReadOptions
 from proprio_ros.recordings.topics import Conventions
 from proprio_ros.robot import load_robot
 
-Bend = Callable[..., tuple[int, Any]]
 BAG = Path("bag")
 PUSH = (
     Path(__file__).resolve().parents[2]
@@ -35,22 +33,16 @@ PLAIN = tuple(f"joint{number}" for number in range(1, 8))
 def named(before: str, beside: str = "") -> Bend:
     """Messages with other names, and with a second arm that stands beside the first one."""
 
-    def bend(
-        topic: str,
-        time_ns: int,
-        message: Any,
-    ) -> tuple[int, Any]:
-        if topic == "/joint_states":
-            names = list(message.name)
-            message.name = [before + name for name in names]
-            if beside:
-                message.name += [beside + name for name in names]
-                for key in ("position", "velocity", "effort"):
-                    values = getattr(message, key)
-                    setattr(message, key, np.concatenate([values, values]))
-        return time_ns, message
+    def rename(message: Any) -> None:
+        names = list(message.name)
+        message.name = [before + name for name in names]
+        if beside:
+            message.name += [beside + name for name in names]
+            for key in ("position", "velocity", "effort"):
+                values = getattr(message, key)
+                setattr(message, key, np.concatenate([values, values]))
 
-    return bend
+    return of_joint_states(rename)
 
 
 def options(

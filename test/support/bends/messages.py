@@ -47,6 +47,21 @@ def bent(path: Path, bend: Bend, source: Path) -> Path:
     return path
 
 
+def of_joint_states(change: Callable[[Any], None]) -> Bend:
+    """Joint states that ``change`` has altered in place."""
+
+    def bend(
+        topic: str,
+        time_ns: int,
+        message: Any,
+    ) -> tuple[int, Any]:
+        if topic == "/joint_states":
+            change(message)
+        return time_ns, message
+
+    return bend
+
+
 def commands_times(factor: float) -> Bend:
     """Commands that the motor was never given."""
 

@@ -26,6 +26,26 @@ def with_goals(
     return tape.with_topic(GOALS, changed)
 
 
+def _beyond_ends(
+    tape: Tape,
+    joint: str,
+    share: float,
+    change: Callable[[FloatArray, float, float], FloatArray],
+) -> Tape:
+    """Other goals of a joint, by its goals, their middle, and how far from it their ends are, a share of the range cut off."""
+
+    def changed(goals: Stream) -> FloatArray:
+        position = goals.values["position"].copy()
+        column = goals.column(joint)
+        mine = position[:, column]
+        middle = 0.5 * (mine.max() + mine.min())
+        end = 0.5 * (1.0 - share) * np.ptp(mine)
+        position[:, column] = change(mine, middle, end)
+        return position
+
+    return with_goals(tape, changed)
+
+
 @bend(
     "servos",
     Right(None, _NAMED),
@@ -36,18 +56,12 @@ def with_goals(
 def goals_clipped(tape: Tape, rng: Rng, joint: str, share: float) -> Tape:
     """A joint's servo keeps within limits of its own, and the log has the goals that it was asked for."""
 
-    def asked(goals: Stream) -> FloatArray:
-        position = goals.values["position"].copy()
-        column = goals.column(joint)
-        mine = position[:, column]
-        middle = 0.5 * (mine.max() + mine.min())
+    def asked(mine: FloatArray, middle: float, end: float) -> FloatArray:
         # what was heard stays; what was asked went beyond its ends
-        end = 0.5 * (1.0 - share) * np.ptp(mine)
         beyond = np.clip(np.abs(mine - middle) - end, 0.0, None)
-        position[:, column] = mine + np.sign(mine - middle) * beyond
-        return position
+        return mine + np.sign(mine - middle) * beyond
 
-    return with_goals(tape, asked)
+    return _beyond_ends(tape, joint, share, asked)
 
 
 @bend(
@@ -60,20 +74,10 @@ def goals_clipped(tape: Tape, rng: Rng, joint: str, share: float) -> Tape:
 def goals_logged_clipped(tape: Tape, rng: Rng, joint: str, share: float) -> Tape:
     """A log cuts a joint's goals off at its own limits, and the servo heard them whole."""
 
-    def cut(goals: Stream) -> FloatArray:
-        position = goals.values["position"].copy()
-        column = goals.column(joint)
-        mine = position[:, column]
-        middle = 0.5 * (mine.max() + mine.min())
-        end = 0.5 * (1.0 - share) * np.ptp(mine)
-        position[:, column] = np.clip(
-            mine,
-            middle - end,
-            middle + end,
-        )
-        return position
+    def cut(mine: FloatArray, middle: float, end: float) -> FloatArray:
+        return np.clip(mine, middle - end, middle + end)
 
-    return with_goals(tape, cut)
+    return _beyond_ends(tape, joint, share, cut)
 
 
 @bend(
