@@ -474,7 +474,15 @@ def libraries() -> str:
     return table_of(("library", "for", "imported in"), code_map.libraries())
 
 
+def efficiency_in_short() -> str:
+    """How many rows of each benchmark have intervals that fit."""
+    import efficiency  # likewise
+
+    return efficiency.summary()
+
+
 VIEWS: dict[str, Callable[[], str]] = {
+    "efficiency in short": efficiency_in_short,
     "libraries": libraries,
     "readme": readme,
     "summary": summary,

@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from results import Results, parser_of
+from results import Results, each_answer, parser_of
 from so101 import COUNT_RAD, GAIN, JOINTS, MIDDLE, REACH, SETTINGS, Arm, write
 
 from proprio_ros.errors import ProprioError
@@ -282,6 +282,7 @@ def row(
         "rest", what=what, held=held, asked=len(answers), given=len(numbers), accepted=accepted, wide=len(numbers) - accepted,
         rms=1e3 * np.sqrt(np.mean(off**2)), worst=1e3 * np.abs(off).max(), half=1e3 * np.median(high - off - of),
         hold=int(((low <= of) & (of <= high)).sum()), farthest=np.abs(off / std).max(),
+        **(each_answer(1e3 * off, 1e3 * (high - off - of)) if numbers else {}),
     )  # fmt: skip
 
 

@@ -36,7 +36,7 @@ from typing import Any
 
 import numpy as np
 from real import STS_KG, UR10E_KG, cut, pendulum, ur10e_file
-from results import Results, parser_of
+from results import Results, each_answer, parser_of
 from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import Writer
 from rosbags.typesys import Stores, get_typestore
@@ -637,7 +637,7 @@ def figures(
         if a.value is not None and (of_nothing or a.truth)
     ]
     errors = [
-        abs(a.value - a.truth) * (1e3 if of_nothing else 100.0 / a.truth)
+        (a.value - a.truth) * (1e3 if of_nothing else 100.0 / a.truth)
         for a in given
         if a.value is not None and (of_nothing or a.truth)
     ]
@@ -657,6 +657,7 @@ def figures(
         "worst": float(sigmas.max()) if given else None,
         "error": f"{np.sqrt(np.mean(np.square(errors))):.3g} {unit}" if errors else None,
         "half": f"{np.median(halves):.3g} {unit}" if halves else None,
+        **each_answer(errors, halves),
         "refused": len(answers) - len(given),
         "codes": ", ".join(f"{code} {count}" for code, count in codes.most_common(3)),
     }

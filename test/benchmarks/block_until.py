@@ -21,7 +21,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
-from results import Results, parser_of
+from results import Results, each_answer, parser_of
 from support.hand import ROBOT, Hand
 from support.squeezing import EDGE_M, GAP_M, calibrated, made
 from until_sure import endings
@@ -214,6 +214,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
             runs=np.median([c.runs for c in answered]), over_fixed=np.median([c.time_s / c.fixed_s for c in answered]),
             never=sum(not c.fixed_reached for c in answered), decided_s=np.median(decided) if len(decided) else 0.0,
             longest_s=decided.max(initial=0.0), ends=endings(case.ended_by for case in cases),
+            **each_answer([100.0 * c.error for c in answered], [100.0 * c.half for c in answered]),
         )  # fmt: skip
     results.keep()
 

@@ -25,7 +25,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
 from random_arm import HiddenRobot
-from results import Results, parser_of
+from results import Results, each_answer, parser_of
 from spheres import FACTS, Boxed, box, drawn
 from until_sure import Bench, calibrated, endings
 
@@ -238,6 +238,7 @@ def row(
         over_fixed=np.median([c.time_s / c.fixed_s for c in fixed]) if fixed else None,
         never=never, never_words=f" (fixed never there: {never})" if never else "",
         decided_s=np.median(decided), longest_s=decided.max(initial=0.0),
+        **each_answer([1e3 * c.error for c in answered], [1e3 * c.half for c in answered]),
         last_s=np.median([c.ended_s for c in answered]), ends=endings(case.ended_by for case in cases),
     )  # fmt: skip
 

@@ -30,7 +30,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 import numpy as np
 from contents_bound import short_of
 from filled_arm import CONTAINERS, EXCHANGE_S, FILLS_M, VISCOSITIES, all_recorded, cases, dummies
-from results import Results, parser_of
+from results import Results, each_answer, parser_of
 from support.contents import sloshing, theory_hz
 
 from proprio_ros.addons.contents.models import ContentsFacts, ContentsProblem
@@ -226,7 +226,7 @@ def _figures(found: Sequence[Answer]) -> dict[str, Any]:
     return {
         "recordings": len(found), "answered": len(errors), "hold": hold, "near": near,
         "rms": float(np.sqrt(np.mean(np.square(errors)))) if errors else None,
-        "half": float(np.median(halves)) if halves else None,
+        "half": float(np.median(halves)) if halves else None, **each_answer(errors, halves),
         "said": len(moved),
         "right": sum(each.said_moving == (each.kind in ("liquid", "granular")) for each in moved),
         "allowed": sum(each.nats > ODDS_NATS for each in found),

@@ -40,7 +40,7 @@ from random_arm import (
     draw_robot,
     record,
 )
-from results import Results, parser_of
+from results import Results, each_answer, parser_of
 
 from proprio_ros.errors import ProprioError
 from proprio_ros.identification.prepared_runs import KnownLoad, PreparedRun, prepare_run
@@ -322,7 +322,7 @@ def row(
     results.row(
         "coverage", robots=name, answered=len(answers), asked=asked, of="" if asked is None else f" of {asked}",
         hold=100.0 * hits, margin=100.0 * margin, rms=1e3 * np.sqrt(np.mean(error**2)), median=1e3 * np.median(np.abs(error)),
-        half=1e3 * Z95 * np.median(std), over=np.median(std / bound),
+        half=1e3 * Z95 * np.median(std), over=np.median(std / bound), **each_answer(1e3 * error, 1e3 * Z95 * std),
     )  # fmt: skip
 
 

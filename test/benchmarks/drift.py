@@ -23,7 +23,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 import numpy as np
 from coverage import DIAMETER_M, facts_of
 from random_arm import EFFECTS_DEFAULT, JOINTS, SPREAD, HiddenRobot, ball, draw_robot
-from results import Results, parser_of
+from results import Results, each_answer, parser_of
 from until_sure import Bench, calibrated
 
 from proprio_ros.calibration_files.drift import FRICTION, Drift, aged
@@ -245,6 +245,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
                 "drift", calibration=name, answered=len(answers), asked=len(of),
                 hold=100.0 * np.mean([c.holds for c in answers]), half=1e3 * np.median([c.half for c in answers]),
                 rms=1e3 * np.sqrt(np.mean([c.error**2 for c in answers])),
+                **each_answer([1e3 * c.error for c in answers], [1e3 * c.half for c in answers]),
             )  # fmt: skip
     results.keep()
 

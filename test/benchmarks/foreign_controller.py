@@ -15,7 +15,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from results import Results, parser_of
+from results import Results, each_answer, parser_of
 
 ASKED = 3
 MASSES_KG = (0.02, 0.2, 1.0)
@@ -137,6 +137,10 @@ def held(known: Sequence[dict[str, Any]]) -> dict[str, Any]:
     return {
         "hold": sum(one["low"] <= one["kg"] <= one["high"] for one in known),
         "farthest": farthest,
+        **each_answer(
+            [1e3 * (one["value"] - one["kg"]) for one in known],
+            [1e3 * (one["high"] - one["value"]) for one in known],
+        ),
     }
 
 

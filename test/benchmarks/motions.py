@@ -21,7 +21,7 @@ from pathlib import Path
 
 import numpy as np
 from motion_bound import bound
-from results import Results, parser_of
+from results import Results, each_answer, parser_of
 from scipy.stats import binomtest
 from support.arm_in_motion import FOUR, SIX, Twin, write_robot
 
@@ -43,6 +43,7 @@ def row(
         "motions", arms=name, answers=len(error), hold=100.0 * hits / len(error), low=100.0 * low, high=100.0 * high,
         rms=1e3 * np.sqrt(np.mean(error**2)), bound=1e3 * np.sqrt(np.mean(least**2)), half=1e3 * np.median(half),
         over=np.median(half / (Z95 * least)), farthest=Z95 * np.max(np.abs(error) / half),
+        **each_answer(1e3 * error, 1e3 * half),
     )  # fmt: skip
 
 

@@ -14,7 +14,7 @@ import functools
 import os
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -34,7 +34,7 @@ from random_arm import (
     draw_robot,
     record,
 )
-from results import REPOSITORY, Results, parser_of
+from results import REPOSITORY, Results, each_answer, parser_of
 from ruamel.yaml import YAML
 from support import simulated
 from support.bends import pushes as bends
@@ -435,6 +435,8 @@ class Tally:
     )
     farthest: float = 0.0
     codes: dict[str, int] | None = None
+    errors: list[float] = field(default_factory=list)  # [g]
+    halves: list[float] = field(default_factory=list)  # [g]
 
     def add(
         self,
@@ -452,6 +454,8 @@ class Tally:
         low, high = mass.ci95
         off = abs(mass.value - truth_kg) / (max(high - mass.value, mass.value - low) / Z95)
         self.accepted += 1
+        self.errors.append(1e3 * (mass.value - truth_kg))
+        self.halves.append(1e3 * max(high - mass.value, mass.value - low))
         self.hold += low <= truth_kg <= high
         self.far += off > FAR_SD
         lowest, highest = mass.if_zeros_moved or (low, high)
@@ -468,6 +472,7 @@ class Tally:
         return {
             "kind": kind, "asked": self.asked, "accepted": self.accepted, "hold": self.hold,
             "far": self.far, "moved": self.moved, "farthest": self.farthest, "codes": refused,
+            **each_answer(self.errors, self.halves),
         }  # fmt: skip
 
 
@@ -567,7 +572,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     whole = Tally()
     for kind, tally in tallies.items():
         results.row("mutated pushes", **tally.row(kind))
-        for name in ("asked", "accepted", "hold", "far", "moved"):
+        for name in ("asked", "accepted", "hold", "far", "moved", "errors", "halves"):
             setattr(
                 whole,
                 name,

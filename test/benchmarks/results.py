@@ -16,7 +16,7 @@ import shlex
 import subprocess
 import sys
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -114,6 +114,22 @@ def text_of(kept: Mapping[str, Any]) -> str:
                 1,
             )
     return text + "\n"
+
+
+def each_answer(
+    errors: Iterable[float],
+    half_intervals: Iterable[float],
+) -> dict[str, list[float]]:
+    """Numbers of a row that say whether its intervals fit (`efficiency`): four digits of each answer's.
+
+    Args:
+        errors: Of each answer, in the unit of the row.
+        half_intervals: Half widths of their 95 % intervals, likewise.
+    """
+    return {
+        "errors": [float(f"{error:.4g}") for error in errors],
+        "half_intervals": [float(f"{half:.4g}") for half in half_intervals],
+    }
 
 
 def _rounded(value: Any) -> Any:

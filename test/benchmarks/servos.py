@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from results import Results, parser_of
+from results import Results, each_answer, parser_of
 from scipy.stats import binomtest
 from support.machines import pendulum_urdf
 from support.servo_bag import write
@@ -212,7 +212,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         results.row(
             "servos", servos=options.servos, answered=len(given), asked=len(rows), hold=100.0 * held / len(given),
             low=100.0 * low, high=100.0 * high, rms=100.0 * np.sqrt(np.mean(off**2)), worst=100.0 * np.abs(off).max(),
-            half=100.0 * np.median(widths), farthest=np.abs(pulls).max(),
+            half=100.0 * np.median(widths), farthest=np.abs(pulls).max(), **each_answer(100.0 * off, 100.0 * widths),
         )  # fmt: skip
     results.keep()
 

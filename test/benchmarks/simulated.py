@@ -18,7 +18,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("MKL_NUM_THREADS", "1")
 
 import numpy as np
-from results import REPOSITORY, Results, parser_of
+from results import REPOSITORY, Results, each_answer, parser_of
 from support import simulated
 
 from proprio_ros.identification.estimate import Estimate
@@ -80,7 +80,8 @@ class Answers:
         found = {
             "asked": self.asked, "answered": len(self.errors), "hold": int(self.hold),
             "rms": float(np.sqrt(np.mean(off**2))), "median": float(np.median(off)), "worst": float(off.max()),
-            "half_from": min(self.halves, default=None), "half_to": max(self.halves, default=None), "errors": self.errors,
+            "half_from": min(self.halves, default=None), "half_to": max(self.halves, default=None),
+            **each_answer(self.errors, self.halves),
         }  # fmt: skip
         return {prefix + key: value for key, value in found.items()}
 

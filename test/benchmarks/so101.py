@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from results import Results, parser_of
+from results import Results, each_answer, parser_of
 
 from proprio_ros.errors import ProprioError, RecordingError
 from proprio_ros.identification.estimate import Estimate, Verdict
@@ -312,6 +312,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
             results.row(
                 "so101", held=name, answered=len(of), asked=options.arms * len(kgs), rms=1e3 * np.sqrt(np.mean(off**2)),
                 worst=1e3 * np.abs(off).max(), half=1e3 * np.median(half), hold=int(holds.sum()), farthest=np.abs(pull).max(),
+                **each_answer(1e3 * off, 1e3 * half),
             )  # fmt: skip
     results.keep()
 

@@ -26,7 +26,7 @@ os.environ.setdefault("MKL_NUM_THREADS", "1")
 import numpy as np
 from coverage import MATCHED, run_of, true_values
 from random_arm import EFFECTS, EMPTY_PROBES, GRIPPER, HiddenRobot, Load, Probe, draw_robot
-from results import Results, parser_of
+from results import Results, each_answer, parser_of
 
 from proprio_ros.identification.estimate import Estimate
 from proprio_ros.identification.gates import LITTLE_TRAVEL
@@ -445,7 +445,7 @@ def row(
     results.row(
         "spheres", runs=name, answered=len(answers), asked=asked, hold=100.0 * hits, margin=100.0 * margin,
         rms=1e3 * np.sqrt(np.mean(error**2)), half=1e3 * Z95 * np.median(std), bound=1e3 * Z95 * np.median(bound),
-        over=np.median(std / bound),
+        over=np.median(std / bound), **each_answer(1e3 * error, 1e3 * Z95 * std),
     )  # fmt: skip
 
 

@@ -13,7 +13,7 @@ import sys
 from collections.abc import Sequence
 
 import numpy as np
-from results import Results, parser_of
+from results import Results, each_answer, parser_of
 from support.squeezing import GAP_M, calibrated, squeezed
 
 from proprio_ros.probes.softness.virtual_object import SoftBlock
@@ -77,6 +77,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
                 "squeezes", kPa=1e-3 * modulus, ratio=ratio, answered=len(answers), asked=options.robots,
                 hold=int(held.sum()), rms=100.0 * np.sqrt(np.mean(off**2)), worst=100.0 * np.abs(off).max(),
                 half=100.0 * np.median(half), ratio_answered=int(known_.sum()), ratio_hold=int(ratio_held.sum()),
+                **each_answer(100.0 * off, 100.0 * half),
             )  # fmt: skip
     results.keep()
 

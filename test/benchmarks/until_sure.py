@@ -40,7 +40,7 @@ from random_arm import (
     draw_robot,
     record,
 )
-from results import Results, parser_of
+from results import Results, each_answer, parser_of
 
 from proprio_ros.errors import ProprioError
 from proprio_ros.excitation.plans import ExcitationRun, ExcitationSequence, Until, load_sequence
@@ -344,6 +344,7 @@ def row(
         runs=np.median([c.runs for c in answered]), over_fixed=np.median([c.time_s / c.fixed_s for c in answered]),
         never=never, never_words=f" (fixed never there: {never})" if never else "",
         decided_ms=1e3 * max(c.decided_s for c in answered), ends=endings(case.ended_by for case in cases),
+        **each_answer(1e3 * error, [1e3 * c.half for c in answered]),
     )  # fmt: skip
 
 

@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 import servos
 from real import STS_DRIVE, STS_KG, XL330_DRIVE, XL330_KG, pendulum
-from results import Results, parser_of
+from results import Results, each_answer, parser_of
 from support import differing
 from support.machines import REAL, pendulum_urdf
 from support.servo_bag import write
@@ -402,6 +402,10 @@ def figures(
         "far": sum(answer.sigmas > FAR_SIGMAS for answer in given),
         "farthest": max((answer.sigmas for answer in given), default=None),
         "codes": said or "none",
+        **each_answer(
+            [1e3 * (answer.value_kg - answer.truth_kg) for answer in given],
+            [1e3 * (answer.high_kg - answer.value_kg) for answer in given],
+        ),
     }
 
 
