@@ -49,7 +49,7 @@ from proprio_ros.inputs.resources import (
 )
 from proprio_ros.inputs.settings import Settings
 from proprio_ros.pipeline.distinct import Distinct
-from proprio_ros.pipeline.loading import found_in, read_bag, runs_in, runs_or_motion
+from proprio_ros.pipeline.loading import followed, found_in, read_bag, runs_in, runs_or_motion
 from proprio_ros.pipeline.replay import aged_robot, moment_of
 from proprio_ros.pipeline.request import Options, Request, read_request
 from proprio_ros.probes import probe_that
@@ -103,7 +103,7 @@ def calibrate_from_bags(
     recorded = _read(given, request, progress)
     masses = [load.mass for load in loads]
     request = _with_learnt_delay(request, recorded.recordings, masses, progress)
-    runs, motions = _found(request, recorded, loads)
+    request, runs, motions = _found(request, recorded, loads)
     read = time.perf_counter()
     if motions:
         estimate = _from_motions(request, motions, progress)
@@ -193,8 +193,8 @@ def _read(
 
 def _found(
     request: Request, recorded: _Recorded, loads: Sequence[KnownLoad]
-) -> tuple[list[LoadedRun], list[tuple[Motion, float]]]:
-    """Runs, or motions with the mass of what was held [kg], and never both."""
+) -> tuple[Request, list[LoadedRun], list[tuple[Motion, float]]]:
+    """Runs, or motions with the mass of what was held [kg], and never both; and the request with joints that are only read."""
     runs: list[LoadedRun] = []
     motions: list[tuple[Motion, float]] = []
     for read, recording, load in zip(recorded.reads, recorded.recordings, loads, strict=True):
@@ -213,7 +213,9 @@ def _found(
             f"{motions[0][0].name}: is a motion (several joints at once, or one under a controller), but {runs[0].run.name} holds "
             "probes: calibrate with one or the other, each makes a file of its own"
         )
-    return runs, motions
+    robot, moved = followed(request.robot, [motion for motion, _ in motions])
+    masses_kg = [mass_kg for _, mass_kg in motions]
+    return replace(request, robot=robot), runs, list(zip(moved, masses_kg, strict=True))
 
 
 @one_blas_thread

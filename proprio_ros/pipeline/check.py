@@ -23,6 +23,7 @@ from proprio_ros.identification.solvable import solvable
 from proprio_ros.inputs.resources import paths_of
 from proprio_ros.inputs.settings import Settings
 from proprio_ros.pipeline.loading import (
+    followed,
     runs_or_motion,
     turning_joints,
     unit_not_used,
@@ -173,6 +174,7 @@ def _with_found(
 ) -> _Looked:
     """The same with the runs or the motion that were found; raises what `replay` raises of them."""
     if isinstance(found, Motion):
+        robot, [found] = followed(robot, [found])
         _refuse_motion(robot, found)
         return replace(looked, motion=found)
     refuse_uncalibrated(robot, found)
@@ -187,6 +189,9 @@ def _shown(
     check: BagCheck,
 ) -> BagCheck:
     """A check with what the recording shows of itself."""
+    if looked.motion is not None:
+        robot, _ = followed(request.robot, [looked.motion])
+        request = replace(request, robot=robot)
     robot = request.robot
     slides = [joint.name for joint in robot.model.joints if joint.kind == "prismatic"]
     moved = moving(recording.joints, slides)

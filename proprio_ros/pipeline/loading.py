@@ -131,7 +131,6 @@ def _motion(recording: Recording, request: Request) -> Motion:
         held={**taken, **locked},
         standing=still,
     )
-    _refuse_unknown_drives(robot, motion)
     if len(turning) == 1:  # of several the regression asks the clock
         refuse_pace_of_joint(recording, turning[0])
     notes = tuple(
@@ -147,23 +146,76 @@ def _motion(recording: Recording, request: Request) -> Motion:
     return replace(motion, notes=motion.notes + notes)
 
 
-def _refuse_unknown_drives(robot: Robot, motion: Motion) -> None:
-    """Raises: RecordingError: A joint between the arm's joints and the hand moved, and nothing is known of its drive."""
-    fine = {*motion.joints, *robot.model.carriers(motion.joints)}
+def followed(robot: Robot, motions: Sequence[Motion]) -> tuple[Robot, list[Motion]]:
+    """A robot and its motions, with joints between motors and hand that are only read: where they were counts, no effort of them.
+
+    Args:
+        robot: As its file states it.
+        motions: Of it, which are fitted together.
+
+    Returns:
+        Both, as they were where no such joint moved, within a motion or between two.
+
+    Raises:
+        RecordingError: One moved, and in some motion its position was not recorded, or it cannot be followed.
+    """
+    among = {name for motion in motions for name in motion.joints}
+    robot = robot.with_only_read(sorted(among - {*robot.drive_trains}))
+    for name in _moved_unstated(robot, motions):
+        followers = [
+            joint.name for joint in robot.model.joints if robot.model.driving(joint)[0] == name
+        ]
+        driven = [joint for joint in motions[0].joints if joint not in robot.only_read]
+        if len(followers) > 1 or len(driven) == 1:
+            raise RecordingError(
+                f"{name} moved and moves the hand, and {robot.source.name} does not say what force drives it: state it under "
+                "joints, or hold it while the others move",
+                motions[0].name,
+            )
+        robot = robot.with_only_read([name])
+    return robot, [_with_read(motion, robot.only_read) for motion in motions]
+
+
+def _moved_unstated(robot: Robot, motions: Sequence[Motion]) -> list[str]:
+    """Joints between the arm's joints and the hand that moved, and of whose drives nothing is known."""
+    moved = []
     for name in path_to(robot.model, robot.payload_frame):
-        if name in fine or name not in motion.beside:
+        places = [motion.beside[name] for motion in motions if name in motion.beside]
+        carries = any(name in robot.model.carriers(motion.joints) for motion in motions)
+        if carries or not places:
             continue
         slides = robot.model.joint(name).kind == "prismatic"
-        span = float(np.ptp(motion.beside[name]))
-        if span > (MOVED_SLIDE_M if slides else MOVED_RAD):
-            cure = "add it under joints"
-            if name in robot.drive_trains:
-                cure = "state transmission_m_per_rad: 1 and its constants as N/A"
-            raise RecordingError(
-                f"{name} moved by {span:.2g} {'m' if slides else 'rad'} and moves the hand, and {robot.source.name} does not say "
-                f"what force drives it: {cure}, or hold it while the others move",
-                motion.name,
-            )
+        if np.ptp(np.concatenate(places)) > (MOVED_SLIDE_M if slides else MOVED_RAD):
+            moved.append(name)
+    return moved
+
+
+def _with_read(motion: Motion, names: Sequence[str]) -> Motion:
+    """The same with joints that are only read among its joints; nobody measured their efforts."""
+    further = [name for name in names if name not in motion.joints]
+    if not further:
+        return motion
+    unknown = [name for name in further if name not in motion.beside]
+    if unknown:
+        raise RecordingError(
+            f"the position of {unknown[0]}, which moves the hand, was not recorded, and it is elsewhere in another recording: "
+            "record it",
+            motion.name,
+        )
+    places = [motion.beside[name] for name in further]
+    note = (
+        f"{motion.name}: of {some(further)} between the motors and the hand only positions are read: how they moved is taken into "
+        "account, and their efforts are not used"
+    )
+    return replace(
+        motion,
+        joints=(*motion.joints, *further),
+        position=np.column_stack([motion.position, *places]),
+        current_A=np.column_stack([motion.current_A, *(np.full_like(at, np.nan) for at in places)]),
+        held={name: at for name, at in motion.held.items() if name not in further},
+        beside={name: at for name, at in motion.beside.items() if name not in further},
+        notes=(*motion.notes, note),
+    )
 
 
 def _refuse_unmeasured(recording: Recording, unit: str | None) -> None:
@@ -206,13 +258,19 @@ def _under_a_controller(recording: Recording, robot: Robot) -> bool:
 
 
 def turning_joints(robot: Robot) -> list[str]:
-    """The joints of a motion: those that have a motor and turn, and slides that move the hand and whose efforts are forces."""
+    """The joints of a motion: those that have a motor and turn, and slides that move the hand and whose efforts are forces.
+
+    Those that are only read come in by `followed`.
+    """
     slides = path_to(robot.model, robot.payload_frame)
     return [
         name
         for name, drive in robot.drive_trains.items()
-        if robot.model.joint(name).kind != "prismatic"
-        or (name in slides and drive.transmission == 1.0)
+        if name not in robot.only_read
+        and (
+            robot.model.joint(name).kind != "prismatic"
+            or (name in slides and drive.transmission == 1.0)
+        )
     ]
 
 

@@ -22,6 +22,7 @@ from proprio_ros.pipeline.loading import (
     Loaded,
     bag_motion,
     bag_runs,
+    followed,
     load,
 )
 from proprio_ros.pipeline.request import Options, Request, request_of
@@ -115,7 +116,9 @@ def read_for(
             baseline_motions.append(distinct.checked(path, bag_motion(Path(path), whole)))
         else:
             baseline.extend(distinct.checked(path, bag_runs(Path(path), whole)))
-    return request.robot, Recorded(runs, baseline, sources, text, motions, baseline_motions)
+    count = len(motions)
+    robot, read = followed(request.robot, [*motions, *baseline_motions])
+    return robot, Recorded(runs, baseline, sources, text, read[:count], read[count:])
 
 
 def _refuse_unsuited(

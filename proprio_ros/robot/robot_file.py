@@ -14,7 +14,7 @@ from proprio_ros.calibration_files.motions import MotionCalibration
 from proprio_ros.calibration_files.one_joint import JointCalibration
 from proprio_ros.calibration_files.pushes import TERMS, Calibration, check_complete
 from proprio_ros.calibration_files.section import check_digest
-from proprio_ros.errors import RobotError, one_line
+from proprio_ros.errors import RobotError, one_line, some
 from proprio_ros.inputs.forms import (
     REQUIRED,
     Field,
@@ -109,6 +109,29 @@ class Robot:
     held: Mapping[str, float] = field(default_factory=dict)
     tip: str | None = None  # last link of the arm; None: every joint with a motor is of the arm
     effort_sign: Signs = field(default_factory=Signs)  # by what measured efforts are multiplied
+    # of its drive trains, those of joints between the motors and the hand of whose motors nothing is known: they are followed by
+    # their positions, and their efforts count for nothing
+    only_read: tuple[str, ...] = ()
+
+    def with_only_read(self, joints: Iterable[str]) -> Robot:
+        """The same robot, of which these joints, too, are followed by their positions alone."""
+        further = [joint for joint in joints if joint not in self.only_read]
+        if not further:
+            return self
+        drives = {joint: _unknown_drive(self.model, joint) for joint in further}
+        return replace(
+            self,
+            drive_trains={**self.drive_trains, **drives},
+            only_read=(*self.only_read, *further),
+        )
+
+    def check_efforts_known(self) -> None:
+        """Raises: RobotError: A joint is only read, and an estimate needs the effort of every joint of the calibration."""
+        if self.only_read:
+            raise RobotError(
+                f"{self.source.name}: {some(self.only_read)} is only read, and the running estimate needs the effort of each joint "
+                "that moves the hand: weigh recordings, or state its motor under joints and calibrate again"
+            )
 
     def is_calibrated(self, joints: Iterable[str] | None = None) -> bool:
         """Whether the numbers come from this very arm, as its file says and as every calibration does.
@@ -594,11 +617,13 @@ def _assembled(
         )
         disturbance = disturbance.at(0.0, weakest).std
     drives = f"but {given['name']} drives {', '.join(drive_trains)}: calibrate this robot"
+    only_read: list[str] = []
     if motion is not None:
         motion = replace(motion, fingerprint=given["model_fingerprint"])
-        foreign = [joint for joint in motion.joints if joint not in drive_trains]
+        only_read = [joint for joint in motion.joints if joint not in drive_trains]
+        foreign = {*only_read} - {*path_to(model, given["payload_frame"])}
         if foreign:
-            raise FormError(f"motion_calibration: is of {', '.join(foreign)}, {drives}")
+            raise FormError(f"motion_calibration: is of {', '.join(sorted(foreign))}, {drives}")
     if of_joint is not None and [of_joint.joint] != list(drive_trains):
         raise FormError(f"joint_calibration: is of {of_joint.joint}, {drives}")
     stated |= {
@@ -606,7 +631,7 @@ def _assembled(
         "motion_calibration": motion,
         "gravity": frozen(given["gravity"]),
     }
-    return Robot(
+    robot = Robot(
         model=model,
         drive_trains=drive_trains,
         motors=motors,
@@ -614,6 +639,15 @@ def _assembled(
         settings=settings,
         **stated,
     )
+    return robot.with_only_read(only_read)
+
+
+def _unknown_drive(model: RobotModel, name: str) -> DriveTrain:
+    """Of a joint whose motor nobody stated: no effort of it counts, so that its torque constant is of no consequence."""
+    exactly = {"drive_train": {_CONSTANT: 1.0}}
+    slides = model.joint(name).kind == "prismatic"
+    settings = {**exactly, "transmission_m_per_rad": 1.0} if slides else exactly
+    return _drive_train(settings, model, name)[0]
 
 
 def _drive_train(

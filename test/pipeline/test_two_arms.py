@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -10,8 +11,10 @@ import pytest
 from support.two_arms import ARM, MIDDLE, SIDES, TORSO, TwoArms, write_urdf
 
 from proprio_ros.cli import main
-from proprio_ros.errors import RecordingError
+from proprio_ros.errors import RecordingError, RobotError
 from proprio_ros.identification.regression.at_rest import check_carriers
+from proprio_ros.identification.regression.online import OnlineEstimator
+from proprio_ros.pipeline.loading import followed
 from proprio_ros.pipeline.replay import replay
 from proprio_ros.pipeline.request import Options
 from proprio_ros.recordings.motions import Motion
@@ -106,18 +109,73 @@ def test_an_arm_that_stands_is_not_weighed_on_a_torso_that_bends(recorded: Path)
         check_carriers(robot, bent, joints)
 
 
-def test_a_joint_of_the_arm_that_moves_and_is_not_stated_is_refused(recorded: Path) -> None:
-    """It was taken to stand in the middle of its way."""
-    path = recorded / "without.yaml"
+def partly_stated(folder: Path, unstated: Sequence[str]) -> str:
+    """A robot file that lacks the motors of some joints."""
+    path = folder / f"without_{'_'.join(unstated)}.yaml"
     stated = "\n".join(
-        f"  left_{joint}: {{motor: {{nominal_torque_constant_N_m_per_A: 1}}}}" for joint in ARM if joint != ARM[3]
+        f"  left_{joint}: {{motor: {{nominal_torque_constant_N_m_per_A: 1}}}}" for joint in ARM if joint not in unstated
     )  # fmt: skip
     path.write_text(
         f"name: without\nurdf: two_arms.urdf\ntip: left_tool0\npayload_frame: left_tool0\njoints:\n{stated}\n"
     )
-    asked = Options(robot=str(path), effort_unit="N.m")
+    return str(path)
+
+
+@pytest.mark.parametrize("unstated", [ARM[6:], ARM[3:4], (ARM[2], ARM[5])])
+def test_joints_of_the_arm_without_a_motor_are_followed(
+    recorded: Path, unstated: tuple[str, ...]
+) -> None:
+    """They were taken to stand in the middle of their way, then refused; the last one, one in mid-arm, and two."""
+    asked = Options(
+        robot=partly_stated(recorded, unstated),
+        effort_unit="N.m",
+        baseline=[recorded / "left_empty"],
+    )
+    answer = replay([recorded / "left_loaded"], asked)
+    mass = answer.values[0]
+    assert answer.verdict.value == "accepted", answer.reasons
+    assert mass.ci95[0] < HELD_KG["left"] < mass.ci95[1]
+    assert abs(mass.value - HELD_KG["left"]) < 0.02 * HELD_KG["left"], "all of it is explained"
+    names = ", ".join(f"left_{joint}" for joint in unstated)
+    assert any(f"of {names} between the motors and the hand" in note for note in answer.notes)
+
+
+def test_a_calibration_knows_the_joints_that_were_followed(
+    recorded: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Its file is read again, weighs, and is refused where an effort of each joint is needed; check looks without a refusal."""
+    robot = partly_stated(recorded, ARM[6:])
+    output = recorded / "followed.yaml"
+    unit = ["--effort-unit", "N.m"]
+    words = ["calibrate", str(recorded / "left_empty"), "--robot", robot, *unit]
+    assert main([*words, "--output", str(output)]) == 0
+    assert main(["check", str(recorded / "left_loaded"), "--robot", robot, *unit]) == 0
+    capsys.readouterr()
+    asked = Options(calibration=str(output), effort_unit="N.m")
+    mass = replay([recorded / "left_loaded"], asked).values[0]
+    assert mass.ci95[0] < HELD_KG["left"] < mass.ci95[1]
+    learnt = load_robot(output)
+    assert learnt.only_read == (f"left_{ARM[6]}",) and learnt.motion_calibration is not None
+    with pytest.raises(RobotError, match="left_arm_7_joint is only read"):
+        OnlineEstimator(learnt, learnt.motion_calibration)
+
+
+def test_a_joint_that_is_only_read_stands_elsewhere_in_another_recording(recorded: Path) -> None:
+    """What it carries is then elsewhere, too: the same links were taken for one body."""
+    robot = load_robot(partly_stated(recorded, ARM[3:4]))
+    joints = tuple(f"left_{joint}" for joint in ARM if joint != ARM[3])
+    rest = np.zeros((50, len(joints)))
+    times_s = np.linspace(0.0, 4.0, 50)
+
+    def stood(at: float | None) -> Motion:
+        beside = {} if at is None else {f"left_{ARM[3]}": np.full(50, at)}
+        return Motion("m", joints, times_s, rest, rest, {}, "measured current", beside=beside)
+
+    assert followed(robot, [stood(0.5), stood(0.5)])[0] is robot
+    learnt, motions = followed(robot, [stood(0.5), stood(0.8)])
+    assert learnt.only_read == (f"left_{ARM[3]}",)
+    assert all(f"left_{ARM[3]}" in motion.joints for motion in motions)
     with pytest.raises(
-        RecordingError,
-        match=r"left_arm_4_joint moved by .* rad and moves the hand, and without\.yaml",
+        RecordingError, match="the position of left_arm_4_joint, which moves the hand"
     ):
-        replay([recorded / "left_loaded"], asked)
+        followed(robot, [stood(0.5), stood(0.8), stood(None)])

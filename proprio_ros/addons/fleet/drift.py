@@ -20,7 +20,7 @@ from proprio_ros.errors import ConfigurationError, ProprioError, RecordingError
 from proprio_ros.identification.regression.motion_fit import fit_empty
 from proprio_ros.inputs.resources import write_in_one_step
 from proprio_ros.pipeline.api import AnyPath, Listed, Paths, frame, options_of, read_arguments
-from proprio_ros.pipeline.loading import bag_motion
+from proprio_ros.pipeline.loading import bag_motion, followed
 from proprio_ros.pipeline.request import Options, Request, request_of
 from proprio_ros.quantity import Z95
 from proprio_ros.recordings.motions import Motion
@@ -259,12 +259,13 @@ def drift_of(
         motions = readable([episodes[place] for place in own], MOST_OF_PERIOD, request)
         with suppress(RecordingError):  # too little motion in all of them
             if motions:
+                robot, motions = followed(request.robot, motions)
                 found.append(
                     Period(
                         name,
                         at,
                         len(motions),
-                        fit_empty(request.robot, motions),
+                        fit_empty(robot, motions),
                     )
                 )
     return Drift(found)

@@ -12,7 +12,7 @@ from typing import Any
 
 from proprio_ros.addons.fleet.episodes import Episode
 from proprio_ros.addons.fleet.grasps import Grasp, Grasps
-from proprio_ros.errors import ProprioError, RecordingError, of_the_machine, one_line
+from proprio_ros.errors import ProprioError, RecordingError, RobotError, of_the_machine, one_line
 from proprio_ros.identification.estimate import Estimate, Value
 from proprio_ros.identification.regression.at_rest import check_carriers
 from proprio_ros.pipeline.replay import identify, read_for
@@ -206,10 +206,11 @@ def _answered(
 
 
 def _leans(robot: Robot, motion: Motion, row: Row) -> bool:
-    """Whether what carries the arm leans over, so that no grasp is looked for: a running estimate has it at its mean."""
+    """Whether what carries the arm leans over, or a joint is only read: a running estimate knows neither, and finds no grasps."""
     try:
+        robot.check_efforts_known()
         check_carriers(robot, [motion], motion.joints)
-    except RecordingError as error:
+    except (RecordingError, RobotError) as error:
         row["notes"] = [*(row["notes"] or ()), f"no grasps are looked for: {error}"]
         return True
     return False

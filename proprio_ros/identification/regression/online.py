@@ -218,7 +218,7 @@ class OnlineEstimator:
         centre_m: As given.
         frozen: Whether joint states say the same again and again while the arm moves.
 
-    Raises `RobotError`: The calibration is of another arm.
+    Raises `RobotError`: The calibration is of another arm, or of a joint that is only read.
     """
 
     def __init__(
@@ -231,6 +231,7 @@ class OnlineEstimator:
         held: dict[str, float] | None = None,
     ) -> None:
         self.joints = calibration.joints
+        robot.check_efforts_known()
         others = [name for name in robot.model.independent_joints if name not in self.joints]
         self._arm = Arm.of(
             robot,
