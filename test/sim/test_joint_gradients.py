@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from support.plain_laws import difference
 from support.taped import tape
 
 from proprio_ros.sim.joint import INDEX, PARAMETERS, JointRun, JointSimulator
@@ -39,7 +40,13 @@ def simulator(integrator: str) -> JointSimulator:
         friction_velocity=1e-3,
         step_s=1 / 240,
         fine_step_s=1 / 240 if integrator == "semi_implicit" else 1 / 4000,
-        input_load=np.array([[0.01, 0.2], [-0.02, 0.3], [0.015, -0.1]]),
+        input_load=np.array(
+            [
+                [0.01, 0.2],
+                [-0.02, 0.3],
+                [0.015, -0.1],
+            ]
+        ),
     )
     return JointSimulator([run], integrator)
 
@@ -66,15 +73,10 @@ def test_sensitivities_against_central_differences(integrator: str, seed: int) -
     for name, row in INDEX.items():
         # the rise of friction at rest moves little: its difference must rise above the rounding of a stiff rollout
         step = 1e-4 if name.startswith("stribeck") else 1e-6 * max(1e-1, abs(SCALES[name]))
-        up = p.copy()
-        down = p.copy()
-        up[0, row] += step
-        down[0, row] -= step
-        difference = (sim.rollout(ONE, up)[0] - sim.rollout(ONE, down)[0]) / (2.0 * step)
         scale = np.abs(exact[..., row]).max()
         assert scale > 0.0, name
         np.testing.assert_allclose(
-            difference,
+            difference(sim, p, row, step),
             exact[..., row],
             atol=1e-6 * scale,
             err_msg=name,
@@ -142,14 +144,15 @@ def test_delay_of_a_sample_on_a_change_of_the_current(integrator: str) -> None:
     p[0, INDEX["delay"]] = 0.0
     direction = np.zeros((1, len(PARAMETERS), 1))
     direction[0, INDEX["delay"]] = 1.0
-    q, _, exact = (array.copy() for array in sim.jacobian(ONE, p, direction))
+    found = sim.jacobian(ONE, p, direction)
+    q, _, exact = (array.copy() for array in found)
     step = 1e-6
     moved = np.repeat(p, 2, axis=0)
     moved[:, INDEX["delay"]] = [step, 2.0 * step]
     once, twice = sim.rollout(np.zeros(2, dtype=np.int32), moved)[0]
-    difference = (-3.0 * q[0] + 4.0 * once - twice) / (2.0 * step)
+    one_sided = (-3.0 * q[0] + 4.0 * once - twice) / (2.0 * step)
     np.testing.assert_allclose(
-        difference,
+        one_sided,
         exact[0, :, 0],
         atol=1e-6 * np.abs(exact).max(),
     )

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from dataclasses import dataclass
+
 import numpy as np
 import pytest
 from numpy.typing import ArrayLike
@@ -26,7 +29,8 @@ pytestmark = pytest.mark.long
 
 ONE = np.zeros(1, dtype=np.int32)
 G = 9.81
-AXIS = np.array([0.2, 0.9, -0.4]) / np.linalg.norm([0.2, 0.9, -0.4])
+SLANTED = np.array([0.2, 0.9, -0.4])
+AXIS = SLANTED / np.linalg.norm(SLANTED)
 GRAVITY = np.array([3.0, -2.0, -9.1])  # at q = 0, which is where world and container frame agree
 ORIGIN = np.array([-0.15, 0.02, 0.03])
 BOX = Enclosure(
@@ -42,10 +46,11 @@ def parameters(
     contact: Contact = HARD, start: ArrayLike = (0.0, 0.0, 0.0), **values: float
 ) -> np.ndarray:
     p = np.zeros((1, len(SPHERE_PARAMETERS)))
+    start_x, start_y, start_z = np.asarray(start, dtype=float)
     known = {
         "inertia": 0.02, "sphere_mass": 0.03, "stiffness": contact.stiffness, "damping": contact.damping,
         "traction": contact.traction, "friction": contact.friction, "torque_constant": 1.0, "stribeck_velocity": 0.1,
-        **dict(zip(("start_x", "start_y", "start_z"), np.asarray(start, dtype=float), strict=True,)),
+        "start_x": start_x, "start_y": start_y, "start_z": start_z,
     }  # fmt: skip
     for name, value in {**known, **values}.items():
         p[0, SPHERE_INDEX[name]] = value
@@ -148,11 +153,18 @@ def test_a_sphere_that_touches_nothing_is_a_projectile(kind: str) -> None:
 def test_a_sphere_without_mass_leaves_the_joint_alone(integrator: str) -> None:
     rng = np.random.default_rng(1)
     joint = JointRun(
-        np.sort(rng.uniform(0.0, 0.5, 20)), np.array([0.0, 0.21]), np.array([0.3, -0.35]), (4.0, 2.49, 5.22), 0.02, 1e-3, 1e-3
-    )  # fmt: skip
+        np.sort(rng.uniform(0.0, 0.5, 20)),
+        np.array([0.0, 0.21]),
+        np.array([0.3, -0.35]),
+        (4.0, 2.49, 5.22),
+        0.02,
+        1e-3,
+        1e-3,
+    )
     p = parameters(
-        sphere_mass=0.0, gravity_cos=0.1, gravity_sin=-0.05, gravity_constant=0.02, torque_constant=1.78, coulomb=0.03,
-        viscous=0.01, load_friction=0.05, delay=0.004, q0=0.3, v0=0.2, stribeck=0.3, stribeck_velocity=0.2,
+        sphere_mass=0.0, gravity_cos=0.1, gravity_sin=-0.05, gravity_constant=0.02, torque_constant=1.78,
+        coulomb=0.03, viscous=0.01, load_friction=0.05, delay=0.004, q0=0.3, v0=0.2,
+        stribeck=0.3, stribeck_velocity=0.2,
     )  # fmt: skip
     sim = SphereSimulator(
         [
@@ -198,9 +210,8 @@ def test_a_sphere_at_rest_in_a_corner_stays_there(law: str) -> None:
     )
     # and it comes to rest there from elsewhere
     off = start - 0.003 * np.sign(GRAVITY)
-    x = states_of(
-        simulator(np.linspace(1.0, 2.0, 20), law=law), ONE, parameters(start=off, inertia=HELD)
-    )[2][0]
+    late = simulator(np.linspace(1.0, 2.0, 20), law=law)
+    x = states_of(late, ONE, parameters(start=off, inertia=HELD))[2][0]
     np.testing.assert_allclose(
         x,
         np.tile(start, (20, 1)),
@@ -208,9 +219,21 @@ def test_a_sphere_at_rest_in_a_corner_stays_there(law: str) -> None:
     )
 
 
+def load_of(
+    kind: str,
+    place: np.ndarray,
+    mass_kg: float,
+) -> float:
+    """What a weight at a place of the container is to the joint at q = 0 [N m], or [N] of a slide."""
+    weight = mass_kg * GRAVITY
+    if kind == "prismatic":
+        return float(AXIS @ weight)
+    return float(AXIS @ np.cross(place - ORIGIN, weight))
+
+
 @pytest.mark.parametrize("kind", ["revolute", "prismatic"])
-def test_the_weight_of_a_sphere_at_rest_is_on_the_joint(kind: str) -> None:
-    """A joint so heavy that it hardly moves feels the sphere's weight at the sphere's place; a light one a rigid load."""
+def test_a_heavy_joint_feels_the_weight_at_the_sphere_s_place(kind: str) -> None:
+    """A joint so heavy that it hardly moves."""
     start = resting_on(GRAVITY, BOX, HARD)
     mass = 0.05
     heavy = 1e4
@@ -220,50 +243,58 @@ def test_the_weight_of_a_sphere_at_rest_is_on_the_joint(kind: str) -> None:
         ONE,
         parameters(start=start, inertia=heavy, sphere_mass=mass),
     )
-    load = (
-        AXIS @ np.cross(start - ORIGIN, mass * GRAVITY)
-        if kind == "revolute"
-        else mass * AXIS @ GRAVITY
-    )
+    load = load_of(kind, start, mass)
     assert v[0, 0] == pytest.approx(load / heavy * time, rel=1e-5)
 
-    arm = 0.01 if kind == "revolute" else 0.1
-    stiff = Contact.of(3000.0, 0.7, 1.0, 3000.0)
-    start = resting_on(GRAVITY, BOX, stiff)
-    times = np.linspace(0.02, 0.15, 14)
-    # so that the container does not fall freely, in which the sphere would float
-    held_back = 0.6 * load
-    q, v, x, *_ = states_of(
-        simulator(times, kind=kind, current=-held_back, step=5e-5),
-        ONE,
-        parameters(stiff, start, inertia=arm, sphere_mass=mass),
-    )
-    lever = start - ORIGIN
-    weight = mass * GRAVITY
-    inertia = arm + mass * (np.cross(AXIS, lever) @ np.cross(AXIS, lever) + 0.4 * BOX.radius**2)
-    if kind == "prismatic":
-        inertia = arm + mass
 
-    def rigid(
-        _: float,
-        state: np.ndarray,
-    ) -> list[float]:
-        if kind == "prismatic":
-            return [state[1], (AXIS @ weight - held_back) / inertia]
+def with_a_rigid_load(
+    kind: str,
+    arm: float,
+    place: np.ndarray,
+    mass_kg: float,
+    held_back: float,
+    times: np.ndarray,
+) -> np.ndarray:
+    """Place and speed (2, T) of a joint from rest whose load is a ball that cannot move in the container."""
+    lever = place - ORIGIN
+    weight = mass_kg * GRAVITY
+
+    def sliding(_: float, state: np.ndarray) -> list[float]:
+        return [state[1], (AXIS @ weight - held_back) / (arm + mass_kg)]
+
+    across = np.cross(AXIS, lever)
+    inertia = arm + mass_kg * (across @ across + 0.4 * BOX.radius**2)
+
+    def turning(_: float, state: np.ndarray) -> list[float]:
         there = Rotation.from_rotvec(state[0] * AXIS).apply(lever)
-        return [
-            state[1],
-            (AXIS @ np.cross(there, weight) - held_back) / inertia,
-        ]
+        torque = AXIS @ np.cross(there, weight)
+        return [state[1], (torque - held_back) / inertia]
 
-    exact = solve_ivp(
-        rigid,
+    return solve_ivp(
+        sliding if kind == "prismatic" else turning,
         (0.0, times[-1]),
         [0.0, 0.0],
         rtol=1e-10,
         atol=1e-12,
         t_eval=times,
     ).y
+
+
+@pytest.mark.parametrize("kind", ["revolute", "prismatic"])
+def test_a_light_joint_feels_a_rigid_load(kind: str) -> None:
+    mass = 0.05
+    # so that the container does not fall freely, in which the sphere would float
+    held_back = 0.6 * load_of(kind, resting_on(GRAVITY, BOX, HARD), mass)
+    arm = 0.01 if kind == "revolute" else 0.1
+    stiff = Contact.of(3000.0, 0.7, 1.0, 3000.0)
+    start = resting_on(GRAVITY, BOX, stiff)
+    times = np.linspace(0.02, 0.15, 14)
+    q, v, x, *_ = states_of(
+        simulator(times, kind=kind, current=-held_back, step=5e-5),
+        ONE,
+        parameters(stiff, start, inertia=arm, sphere_mass=mass),
+    )
+    exact = with_a_rigid_load(kind, arm, start, mass, held_back, times)
     assert abs(exact[0, -1]) > 2e-3
     np.testing.assert_allclose(
         q[0],
@@ -280,7 +311,13 @@ def test_the_weight_of_a_sphere_at_rest_is_on_the_joint(kind: str) -> None:
 
 @pytest.mark.parametrize("law", LAWS)
 @pytest.mark.parametrize("kappa", [0.4, 2.0 / 3.0])
-@pytest.mark.parametrize(("tilt", "friction"), [(0.1, 0.35), (0.6, 0.1)], ids=["rolls", "slips"])
+@pytest.mark.parametrize(
+    ("tilt", "friction"),
+    [
+        pytest.param(0.1, 0.35, id="rolls"),
+        pytest.param(0.6, 0.1, id="slips"),
+    ],
+)
 def test_a_ball_on_an_inclined_plane(
     law: str,
     kappa: float,
@@ -295,8 +332,11 @@ def test_a_ball_on_an_inclined_plane(
         kappa,
     )
     contact = Contact.of(400.0, 0.4, friction)
-    gravity = G * np.array([np.sin(tilt), 0.0, -np.cos(tilt)])
-    start = np.array([-1.5, 0.0, -long.room[2] + gravity[2] / contact.stiffness])
+    down_the_plane = G * np.sin(tilt)
+    into_the_plane = G * np.cos(tilt)
+    gravity = np.array([down_the_plane, 0.0, -into_the_plane])
+    floor = -long.room[2] + gravity[2] / contact.stiffness
+    start = np.array([-1.5, 0.0, floor])
     sim = simulator(
         np.array([0.1, 0.5]),
         long,
@@ -313,13 +353,16 @@ def test_a_ball_on_an_inclined_plane(
     )
     acceleration = np.diff(u[:, 0])[0] / 0.4
     rolls = np.tan(tilt) < friction * (1.0 + 1.0 / kappa)
-    expected = (
-        G * np.sin(tilt) / (1.0 + kappa) if rolls else G * (np.sin(tilt) - friction * np.cos(tilt))
-    )
-    assert acceleration == pytest.approx(expected, rel=0.01 if not rolls else 1e-3)
-    torque = 1.0 if rolls else friction * G * np.cos(tilt) / (kappa * long.radius)
-    assert spin[1, 1] == pytest.approx(u[1, 0] / long.radius if rolls else torque * 0.5, rel=0.01)
-    assert x[1, 0] - start[0] == pytest.approx(0.5 * expected * 0.25, rel=0.01)
+    if rolls:
+        expected = down_the_plane / (1.0 + kappa)
+        spun = u[1, 0] / long.radius
+    else:
+        expected = down_the_plane - friction * into_the_plane
+        spun = 0.5 * friction * into_the_plane / (kappa * long.radius)
+    assert acceleration == pytest.approx(expected, rel=1e-3 if rolls else 0.01)
+    assert spin[1, 1] == pytest.approx(spun, rel=0.01)
+    gone = x[1, 0] - start[0]
+    assert gone == pytest.approx(0.5 * expected * 0.25, rel=0.01)
     assert np.abs(x[:, 2] - start[2]).max() < 1e-6
 
 
@@ -343,9 +386,9 @@ def spring_energy(
     if inside.shape == "box":
         depths = np.abs(x) - inside.room
     elif inside.shape == "cylinder":
-        depths = np.array(
-            [np.hypot(x[:, 0], x[:, 1]) - inside.room[0], np.abs(x[:, 2]) - inside.room[2]]
-        ).T
+        round_wall = np.hypot(x[:, 0], x[:, 1]) - inside.room[0]
+        ends = np.abs(x[:, 2]) - inside.room[2]
+        depths = np.array([round_wall, ends]).T
     else:
         depths = np.linalg.norm(x, axis=1, keepdims=True) - inside.room[0]
     return 0.5 * stiffness * (np.maximum(depths, 0.0) ** 2).sum(axis=1)
@@ -377,6 +420,40 @@ def energy(
 
 
 FALLS = {"gravity_cos": 0.1, "gravity_sin": 0.07, "q0": -0.3, "v0": 0.4}
+FALLING_KG = 0.1
+INERTIA = {"revolute": 0.02, "prismatic": 0.3}
+"""Of a joint that falls with the sphere: [kg m^2], of a slide [kg]."""
+
+
+def check_momentum(
+    kind: str,
+    inside: Enclosure,
+    times: np.ndarray,
+    states: tuple[np.ndarray, ...],
+) -> None:
+    """Momentum about the joint's axis changes by gravity's impulse alone.
+
+    A force at the touch has no moment about it: spin and flight together exchange with the joint.
+    """
+    q, v, x, u, spin = (s[0] for s in states)
+    load = FALLS["gravity_cos"] * np.cos(q) + FALLS["gravity_sin"] * np.sin(q)
+    if kind == "revolute":
+        place = world_place(kind, q, x)
+        turned = Rotation.from_rotvec(q[:, None] * AXIS)
+        flight = np.cross(place, turned.apply(u))
+        turning = 0.4 * inside.radius**2 * turned.apply(spin)
+        of_sphere = FALLING_KG * (flight + turning) @ AXIS
+        torque = FALLING_KG * np.cross(place, GRAVITY) @ AXIS - load
+    else:
+        of_sphere = FALLING_KG * u @ AXIS
+        torque = np.full(len(q), FALLING_KG * GRAVITY @ AXIS) - load
+    momentum = INERTIA[kind] * v + of_sphere
+    impulse = cumulative_simpson(torque, x=times, initial=0.0)
+    np.testing.assert_allclose(
+        momentum - momentum[0],
+        impulse,
+        atol=2e-4 * np.ptp(momentum),
+    )
 
 
 @pytest.mark.parametrize("kind", ["revolute", "prismatic"])
@@ -393,11 +470,10 @@ def test_energy_and_momentum_without_losses(kind: str, shape: str, law: str) -> 
             0.0,
         ),
         (0.006, 0.004, -0.005),
-        sphere_mass=0.1,
+        inertia=INERTIA[kind],
+        sphere_mass=FALLING_KG,
         **FALLS,
     )
-    if kind == "prismatic":
-        p[0, SPHERE_INDEX["inertia"]] = 0.3
     step = 2e-4
     times = np.arange(1, 2001) * step
     drift = []
@@ -409,31 +485,15 @@ def test_energy_and_momentum_without_losses(kind: str, shape: str, law: str) -> 
         )
         total = energy(kind, inside, p, states)
         drift.append(np.abs(total - total[0]).max())
-    q, v, x, u, spin = (s[0] for s in states)
-    touching = np.diff((spring_energy(inside, x, 1.0) > 0.0).astype(int)) > 0
-    assert touching.sum() >= 2  # bounces
-    exchanged = 0.5 * 0.1 * np.ptp((u**2).sum(1))
+    _, v, x, u, _ = (s[0] for s in states)
+    touches = spring_energy(inside, x, 1.0) > 0.0
+    begun = np.diff(touches.astype(int)) > 0
+    assert begun.sum() >= 2  # bounces
+    exchanged = 0.5 * FALLING_KG * np.ptp((u**2).sum(1))
     assert drift[0] < 1e-3 * exchanged  # integration error: a wall is met inside a step
     assert drift[1] < 0.5 * drift[0] + 1e-7 * exchanged
-    mass = 0.1
-    load = FALLS["gravity_cos"] * np.cos(q) + FALLS["gravity_sin"] * np.sin(q)
-    if kind == "revolute":
-        place = world_place(kind, q, x)
-        velocity = Rotation.from_rotvec(q[:, None] * AXIS).apply(u)
-        momentum = (
-            0.02 * v + mass * (np.cross(place, velocity) + 0.4 * inside.radius**2 * spin) @ AXIS
-        )
-        torque = mass * np.cross(place, GRAVITY) @ AXIS - load
-    else:
-        momentum = 0.3 * v + mass * u @ AXIS
-        torque = np.full(len(q), mass * GRAVITY @ AXIS) - load
-    impulse = cumulative_simpson(torque, x=times, initial=0.0)
-    assert mass * np.ptp(u @ AXIS) + np.ptp(v) > 0.01
-    np.testing.assert_allclose(
-        momentum - momentum[0],
-        impulse,
-        atol=2e-4 * np.ptp(momentum),
-    )
+    assert FALLING_KG * np.ptp(u @ AXIS) + np.ptp(v) > 0.01
+    check_momentum(kind, inside, times, states)
 
 
 @pytest.mark.parametrize("kind", ["revolute", "prismatic"])
@@ -445,11 +505,10 @@ def test_energy_never_grows_and_friction_keeps_momentum(kind: str, shape: str, l
     p = parameters(
         HARD,
         (0.006, 0.004, -0.005),
-        sphere_mass=0.1,
+        inertia=INERTIA[kind],
+        sphere_mass=FALLING_KG,
         **FALLS,
     )
-    if kind == "prismatic":
-        p[0, SPHERE_INDEX["inertia"]] = 0.3
     times = np.arange(1, 2001) * 2e-4
     totals = []
     for step in (2e-4, 1e-4):
@@ -465,29 +524,9 @@ def test_energy_never_grows_and_friction_keeps_momentum(kind: str, shape: str, l
     assert lost > 1e-4
     assert integration < 0.1 * lost  # the paper's law jumps at a touch
     assert np.diff(total).max() < integration
-    q, v, x, u, spin = (s[0] for s in states)
+    spin = states[4][0]
     assert np.abs(spin).max() > 1.0
-    load = FALLS["gravity_cos"] * np.cos(q) + FALLS["gravity_sin"] * np.sin(q)
-    if kind == "revolute":
-        place = world_place(kind, q, x)
-        turned = Rotation.from_rotvec(q[:, None] * AXIS)
-        # a force at the touch has no moment about it: spin and flight together exchange with the joint
-        momentum = (
-            0.02 * v
-            + 0.1
-            * (np.cross(place, turned.apply(u)) + 0.4 * inside.radius**2 * turned.apply(spin))
-            @ AXIS
-        )
-        torque = 0.1 * np.cross(place, GRAVITY) @ AXIS - load
-    else:
-        momentum = 0.3 * v + 0.1 * u @ AXIS
-        torque = np.full(len(q), 0.1 * GRAVITY @ AXIS) - load
-    impulse = cumulative_simpson(torque, x=times, initial=0.0)
-    np.testing.assert_allclose(
-        momentum - momentum[0],
-        impulse,
-        atol=2e-4 * np.ptp(momentum),
-    )
+    check_momentum(kind, inside, times, states)
 
 
 def test_walls_of_a_corner_push_at_once() -> None:
@@ -545,15 +584,17 @@ def test_only_the_papers_law_pulls(law: str, pulls: bool) -> None:
 def test_integrator_orders(shape: str, law: str, integrator: str) -> None:
     """While a sphere rolls on a wall and touches no other, halving the step divides the error by 16, or by 2."""
     soft = Contact.of(60.0, 0.3, 1.0, 60.0)
-    start = {
+    starts = {
         "box": (0.0, 0.0, -0.0128),
         "cylinder": (0.0, -0.0165, 0.0),
         "sphere": (0.003, -0.0045, -0.0146),
-    }[shape]
-    gravity = {"box": (0.6, 0.4, -9.0), "cylinder": (1.5, -9.0, 0.4), "sphere": (2.0, -4.0, -9.0)}[
-        shape
-    ]
-    p = parameters(soft, start, gravity_cos=0.2, v0=0.1)
+    }
+    gravities = {
+        "box": (0.6, 0.4, -9.0),
+        "cylinder": (1.5, -9.0, 0.4),
+        "sphere": (2.0, -4.0, -9.0),
+    }
+    p = parameters(soft, starts[shape], gravity_cos=0.2, v0=0.1)
     inside = Enclosure(
         shape,
         ROUND[shape].inner_size,
@@ -565,20 +606,24 @@ def test_integrator_orders(shape: str, law: str, integrator: str) -> None:
         sim = simulator(
             np.array([0.12]),
             inside,
-            gravity=np.array(gravity),
+            gravity=np.array(gravities[shape]),
             step=step,
             law=law,
             integrator=scheme,
         )
-        q, v, x, u, spin = (s[0, 0] for s in states_of(sim, ONE, p))
-        return np.concatenate([[q, v], x, u, spin])
+        states = states_of(sim, ONE, p)
+        q, v, x, *_ = (s[0, 0] for s in states)
+        return np.concatenate([[q, v], x])
 
     exact = end(1.25e-4, "rk4")
+
+    def error(step: float) -> float:
+        return float(np.abs(end(step, integrator) - exact).max())
+
     coarse = 2e-3 if integrator == "rk4" else 5e-4
-    errors = [np.abs(end(step, integrator) - exact)[:5] for step in (coarse, coarse / 2.0)]
     ratio = 16.0 if integrator == "rk4" else 2.0
     np.testing.assert_allclose(
-        errors[0].max() / errors[1].max(),
+        error(coarse) / error(coarse / 2.0),
         ratio,
         rtol=0.2,
     )
@@ -588,7 +633,10 @@ def test_the_papers_constants_are_newtons() -> None:
     """A sphere pressed 1 mm deep by k_e = 1000 N/m is pushed with 1 N, whatever it weighs."""
     for mass in (0.005, 0.05):
         p = parameters(
-            paper_contact(mass), (0.0, 0.0, -BOX.room[2] - 1e-3), inertia=HELD, sphere_mass=mass
+            paper_contact(mass),
+            (0.0, 0.0, -BOX.room[2] - 1e-3),
+            inertia=HELD,
+            sphere_mass=mass,
         )
         sim = simulator(
             np.array([1e-6]),
@@ -596,7 +644,9 @@ def test_the_papers_constants_are_newtons() -> None:
             step=1e-6,
             law="paper",
         )
-        assert mass * states_of(sim, ONE, p)[3][0, 0, 2] / 1e-6 == pytest.approx(1.0, rel=1e-3)
+        velocity = states_of(sim, ONE, p)[3][0, 0]
+        push_N = mass * velocity[2] / 1e-6
+        assert push_N == pytest.approx(1.0, rel=1e-3)
 
 
 def test_what_cannot_be_simulated_is_said() -> None:
@@ -612,89 +662,152 @@ def test_what_cannot_be_simulated_is_said() -> None:
         )
 
 
-def in_world_coordinates(
-    inside: Enclosure,
-    p: np.ndarray,
-    kind: str,
-    current: float,
-    times: np.ndarray,
-) -> tuple[np.ndarray, ...]:
-    """The same box, sphere and joint written down in the world's frame and integrated to 1e-10: q, v (T,), three of (T, 3).
+@dataclass(frozen=True)
+class InWorldCoordinates:
+    """The same box, sphere and joint written down in the world's frame, whose origin lies on the joint's axis."""
 
-    These are the sphere's place in the container, its velocity and its spin against the ground along the container's axes.
-    """
-    value = {name: p[0, row] for name, row in SPHERE_INDEX.items()}
-    k, c, kf, mu = (value[name] for name in ("stiffness", "damping", "traction", "friction"))
-    mass = value["sphere_mass"]
-    kappa = inside.inertia_factor
-    radius = inside.radius
+    inside: Enclosure
+    value: dict[str, float]
+    kind: str
+    current: float
 
-    def pose(q: float) -> tuple[np.ndarray, np.ndarray]:
-        """Rotation of the container and where its centre is, the axis through the origin."""
-        if kind == "revolute":
+    def pose(self, q: float) -> tuple[np.ndarray, np.ndarray]:
+        """Rotation of the container and where its centre is."""
+        if self.kind == "revolute":
             turned = Rotation.from_rotvec(q * AXIS).as_matrix()
             return turned, -turned @ ORIGIN
         return np.eye(3), -ORIGIN + q * AXIS
 
-    def carried(v: float, at: np.ndarray) -> np.ndarray:
-        return v * np.cross(AXIS, at) if kind == "revolute" else v * AXIS
+    def carried(self, v: float, at: np.ndarray) -> np.ndarray:
+        """Velocity of a point of the container."""
+        return v * np.cross(AXIS, at) if self.kind == "revolute" else v * AXIS
 
-    def rates(_: float, state: np.ndarray) -> np.ndarray:
-        q = state[0]
-        v = state[1]
-        place = state[2:5]
-        velocity = state[5:8]
-        spin = state[8:11]
-        turned, centre = pose(q)
-        force = mass * GRAVITY
-        moment = np.zeros(3)
-        on_joint = 0.0
+    def lever(self, at: np.ndarray) -> np.ndarray:
+        """By which a force at a place of the container acts on the joint."""
+        return np.cross(AXIS, at) if self.kind == "revolute" else AXIS
+
+    def push(
+        self,
+        depth: float,
+        inward: np.ndarray,
+        slip: np.ndarray,
+    ) -> np.ndarray:
+        """Force of a wall on the sphere [N].
+
+        Args:
+            depth: how deep the sphere is in the wall [m].
+            inward: unit vector off the wall (3,).
+            slip: velocity of the sphere's touching point against the wall (3,) [m/s].
+        """
+        value = self.value
+        leaving = slip @ inward
+        slip = slip - leaving * inward
+        ramp = min(depth / self.inside.ramp_depth, 1.0)
+        damped = value["damping"] * ramp * leaving
+        normal = max(value["stiffness"] * depth - damped, 0.0)
+        force = value["sphere_mass"] * normal * inward
+        if normal > 0.0:
+            kf = value["traction"]
+            limit = value["friction"] * normal
+            size = np.sqrt((kf * slip) @ (kf * slip) + limit**2)
+            force = force - value["sphere_mass"] * kf * limit * slip / size
+        return force
+
+    def walls(self, q: float) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+        """Unit vector off each wall, and a point of it."""
+        turned, centre = self.pose(q)
         for axis in range(3):
             for side in (-1.0, 1.0):
-                inward = -side * turned[:, axis]
-                wall = centre + side * turned[:, axis] * inside.inner_size[axis] / 2.0
-                depth = radius - inward @ (place - wall)
-                if depth <= 0.0:
-                    continue
-                at = place - radius * inward
-                slip = velocity + np.cross(spin, at - place) - carried(v, at)
-                leaving = slip @ inward
-                slip = slip - leaving * inward
-                normal = max(
-                    k * depth - c * min(depth / inside.ramp_depth, 1.0) * leaving,
-                    0.0,
-                )
-                push = mass * normal * inward
-                if normal > 0.0:
-                    push = push - mass * kf * mu * normal * slip / np.sqrt(
-                        (kf * slip) @ (kf * slip) + (mu * normal) ** 2
-                    )
-                force = force + push
-                moment = moment + np.cross(at - place, push)
-                on_joint -= push @ (np.cross(AXIS, at) if kind == "revolute" else AXIS)
-        load = value["gravity_cos"] * np.cos(q) + value["gravity_sin"] * np.sin(q)
-        motor = value["torque_constant"] * current - value["viscous"] * v
-        a = (motor - load + on_joint) / value["inertia"]
-        return np.concatenate([[v, a], velocity, force / mass, moment / (kappa * mass * radius**2)])
+                outward = side * turned[:, axis]
+                yield -outward, centre + outward * self.inside.inner_size[axis] / 2.0
 
-    turned, centre = pose(value["q0"])
-    start = centre + turned @ p[0, [SPHERE_INDEX[f"start_{axis}"] for axis in "xyz"]]
-    spin = value["v0"] * AXIS if kind == "revolute" else np.zeros(3)
-    state = np.concatenate([[value["q0"], value["v0"]], start, carried(value["v0"], start), spin])
-    solution = solve_ivp(
-        rates, (0.0, times[-1]), state, rtol=1e-10, atol=1e-12, t_eval=times, max_step=1e-3
-    )
-    seen = []
-    for column in solution.y.T:
-        turned, centre = pose(column[0])
-        seen.append(
+    def touches(
+        self,
+        q: float,
+        v: float,
+        sphere: np.ndarray,
+    ) -> tuple[np.ndarray, np.ndarray, float]:
+        """Force and moment of all walls on the sphere, (3,) each, and what they do to the joint.
+
+        Args:
+            q: of the joint.
+            v: of the joint.
+            sphere: place, velocity and spin, (9,).
+        """
+        place, velocity, spin = sphere.reshape(3, 3)
+        radius = self.inside.radius
+        force = np.zeros(3)
+        moment = np.zeros(3)
+        on_joint = 0.0
+        for inward, wall in self.walls(q):
+            depth = radius - inward @ (place - wall)
+            if depth <= 0.0:
+                continue
+            at = place - radius * inward
+            slip = velocity + np.cross(spin, at - place) - self.carried(v, at)
+            push = self.push(depth, inward, slip)
+            force = force + push
+            moment = moment + np.cross(at - place, push)
+            on_joint -= push @ self.lever(at)
+        return force, moment, on_joint
+
+    def rates(self, _: float, state: np.ndarray) -> np.ndarray:
+        """Of the joint's angle and speed, and the sphere's place, velocity and spin, (11,)."""
+        value = self.value
+        q = state[0]
+        v = state[1]
+        force, moment, on_joint = self.touches(q, v, state[2:])
+        load = value["gravity_cos"] * np.cos(q) + value["gravity_sin"] * np.sin(q)
+        motor = value["torque_constant"] * self.current - value["viscous"] * v
+        a = (motor - load + on_joint) / value["inertia"]
+        mass = value["sphere_mass"]
+        inertia = self.inside.inertia_factor * mass * self.inside.radius**2
+        return np.concatenate(
             [
-                turned.T @ (column[2:5] - centre),
-                turned.T @ column[5:8],
-                turned.T @ column[8:11],
+                [v, a],
+                state[5:8],
+                GRAVITY + force / mass,
+                moment / inertia,
             ]
         )
-    return solution.y[0], solution.y[1], *np.array(seen).swapaxes(0, 1)
+
+    def begin(self) -> np.ndarray:
+        """State (11,) of a sphere that the container carries."""
+        q0 = self.value["q0"]
+        v0 = self.value["v0"]
+        turned, centre = self.pose(q0)
+        start = centre + turned @ [self.value[f"start_{axis}"] for axis in "xyz"]
+        velocity = self.carried(v0, start)
+        spin = v0 * AXIS if self.kind == "revolute" else np.zeros(3)
+        return np.concatenate([[q0, v0], start, velocity, spin])
+
+    def rolled_out(self, times: np.ndarray) -> tuple[np.ndarray, ...]:
+        """Integrated to 1e-10: q, v (T,), and the sphere's place in the container, velocity and spin (T, 3).
+
+        Velocity and spin are those against the ground along the container's axes.
+        """
+        solution = solve_ivp(
+            self.rates,
+            (0.0, times[-1]),
+            self.begin(),
+            rtol=1e-10,
+            atol=1e-12,
+            t_eval=times,
+            max_step=1e-3,
+        )
+        seen = []
+        for column in solution.y.T:
+            turned, centre = self.pose(column[0])
+            place, velocity, spin = column[2:].reshape(3, 3)
+            seen.append(
+                [
+                    turned.T @ (place - centre),
+                    turned.T @ velocity,
+                    turned.T @ spin,
+                ]
+            )
+        places, velocities, spins = np.array(seen).swapaxes(0, 1)
+        return solution.y[0], solution.y[1], places, velocities, spins
 
 
 @pytest.mark.parametrize("kind", ["revolute", "prismatic"])
@@ -703,16 +816,16 @@ def test_against_plain_equations_in_the_world(kind: str) -> None:
     p = parameters(
         HARD,
         (-0.005, 0.003, -0.008),
+        inertia=INERTIA[kind],
         sphere_mass=0.04,
         viscous=0.01,
         gravity_cos=0.1,
         q0=-0.4,
         v0=1.5,
     )
-    if kind == "prismatic":
-        p[0, SPHERE_INDEX["inertia"]] = 0.3
     times = np.linspace(0.01, 0.3, 30)
-    exact = in_world_coordinates(BOX, p, kind, 0.12, times)
+    value = {name: float(p[0, row]) for name, row in SPHERE_INDEX.items()}
+    exact = InWorldCoordinates(BOX, value, kind, 0.12).rolled_out(times)
     states = states_of(
         simulator(
             times,
@@ -725,22 +838,19 @@ def test_against_plain_equations_in_the_world(kind: str) -> None:
     )
     without = p.copy()
     without[0, SPHERE_INDEX["sphere_mass"]] = 0.0
-    assert (
-        np.abs(
-            states_of(
-                simulator(times, kind=kind, current=0.12),
-                ONE,
-                without,
-            )[0]
-            - states[0]
-        ).max()
-        > 1e-3
+    alone = states_of(
+        simulator(times, kind=kind, current=0.12),
+        ONE,
+        without,
     )
+    assert np.abs(alone[0] - states[0]).max() > 1e-3
     q, v, x, u, spin = (state[0] for state in states)
-    assert (np.diff(np.sign(np.diff(x, axis=0)), axis=0) != 0).any()  # it bounced
+    ways = np.sign(np.diff(x, axis=0))
+    assert (np.diff(ways, axis=0) != 0).any()  # it bounced
     np.testing.assert_allclose(q, exact[0], atol=1e-5)
     np.testing.assert_allclose(x, exact[2], atol=1e-4)
-    for ours, theirs in ((v, exact[1]), (u, exact[3]), (spin, exact[4])):
+    speeds = [exact[1], exact[3], exact[4]]
+    for ours, theirs in zip((v, u, spin), speeds, strict=True):
         # the last sample lies within a bounce, where a speed changes by itself in a few steps
         np.testing.assert_allclose(
             ours,
@@ -827,9 +937,9 @@ def test_against_mujoco_while_the_sphere_rolls_from_end_to_end(mass: float) -> N
         "step": HARD.step_s(0.4),
     }
     down = Rotation.from_rotvec(q0 * axis).inv().apply(gravity)
-    start = np.array(
-        [-BOX.room[0] + down[0] / HARD.stiffness, 0.0, -BOX.room[2] + down[2] / HARD.stiffness]
-    )
+    pressed = down / HARD.stiffness
+    start = pressed - BOX.room
+    start[1] = 0.0
     p = parameters(start=start, sphere_mass=mass, q0=q0)
     current = 0.08 - 0.9 * mass * G * 0.18  # the motor carries most of the weight and dips the hand
     q, _, x, *_ = states_of(
@@ -843,13 +953,19 @@ def test_against_mujoco_while_the_sphere_rolls_from_end_to_end(mass: float) -> N
     # the same load where it lay at first, fixed
     lever = start - origin
     fixed = parameters(
-        inertia=0.02 + mass * (lever @ lever + 0.4 * BOX.radius**2), sphere_mass=0.0, q0=q0,
-        gravity_cos=-mass * G * lever[0], gravity_sin=-mass * G * lever[2],
-    )  # fmt: skip
+        inertia=0.02 + mass * (lever @ lever + 0.4 * BOX.radius**2),
+        sphere_mass=0.0,
+        q0=q0,
+        gravity_cos=-mass * G * lever[0],
+        gravity_sin=-mass * G * lever[2],
+    )
     still = states_of(simulator(times, current=current, **run), ONE, fixed)[0]
-    rms, without_rolling = (float(np.sqrt(np.mean((one[0] - exact) ** 2))) for one in (q, still))
-    assert rms < 2e-4
-    assert without_rolling > 5.0 * rms
+
+    def rms_error(angles: np.ndarray) -> float:
+        return float(np.sqrt(np.mean((angles - exact) ** 2)))
+
+    assert rms_error(q[0]) < 2e-4
+    assert rms_error(still[0]) > 5.0 * rms_error(q[0])
     # a bounce off the far end is another in another law
     np.testing.assert_allclose(x[0], place, atol=4e-3)
 

@@ -26,26 +26,53 @@ ONE = np.zeros(1, dtype=np.int32)
 STEPS = (1e-4, 1e-5, 1e-6, 1e-7)
 """Of a difference, relative to the parameter."""
 EVERY = np.eye(len(SPHERE_PARAMETERS))[None]
-INNER = {"box": [0.06, 0.04, 0.045], "cylinder": [0.05, 0.05, 0.06], "sphere": [0.05, 0.05, 0.05]}
+INNER = {
+    "box": [0.06, 0.04, 0.045],
+    "cylinder": [0.05, 0.05, 0.06],
+    "sphere": [0.05, 0.05, 0.05],
+}
 CONTACT = Contact.of(400.0, 0.4, 0.35)
 BASE = {
-    "inertia": 0.02, "gravity_cos": 0.12, "gravity_sin": 0.05, "gravity_constant": 0.03, "torque_constant": 1.78, "coulomb": 0.03,
-    "viscous": 0.01, "load_friction": 0.05, "delay": 0.0043, "q0": -0.7, "v0": 0.3, "carried": 0.03, "stribeck": 0.4,
-    "stribeck_velocity": 0.3, "sphere_mass": 0.03, "stiffness": CONTACT.stiffness, "damping": CONTACT.damping,
+    "inertia": 0.02, "gravity_cos": 0.12, "gravity_sin": 0.05, "gravity_constant": 0.03, "torque_constant": 1.78,
+    "coulomb": 0.03, "viscous": 0.01, "load_friction": 0.05, "stribeck": 0.4, "stribeck_velocity": 0.3,
+    "delay": 0.0043, "q0": -0.7, "v0": 0.3, "carried": 0.03,
+    "sphere_mass": 0.03, "stiffness": CONTACT.stiffness, "damping": CONTACT.damping,
     "traction": CONTACT.traction, "friction": CONTACT.friction, "tilt": 0.05,
 }  # fmt: skip
 # Where the sphere starts, as shares of the room it has: just inside a wall, in the air above it, in the corner of several walls.
 # All differ from a kink of the law; those at a wall start deep enough to stay, or to be thrown out.
 SCENES = {
-    "rolling": ("revolute", {"box": (0.3, -0.1, -1.005), "cylinder": (0.3, -0.955, 0.2), "sphere": (0.3, -0.2, -0.94)},),
-    "bouncing": ("revolute", {"box": (0.1, 0.3, -0.4), "cylinder": (-0.2, 0.1, 0.3), "sphere": (0.3, 0.2, -0.3)},),
-    "corner": ("revolute", {"box": (-1.01, 1.02, -1.015), "cylinder": (0.7, -0.73, -1.01), "sphere": (-0.6, 0.6, -0.55)},),
-    "on a slide": ("prismatic", {"box": (0.9, 0.2, -0.8), "cylinder": (0.5, -0.4, -0.8), "sphere": (0.4, 0.3, -0.6)},),
-}  # fmt: skip
+    "rolling": {
+        "box": (0.3, -0.1, -1.005),
+        "cylinder": (0.3, -0.955, 0.2),
+        "sphere": (0.3, -0.2, -0.94),
+    },
+    "bouncing": {
+        "box": (0.1, 0.3, -0.4),
+        "cylinder": (-0.2, 0.1, 0.3),
+        "sphere": (0.3, 0.2, -0.3),
+    },
+    "corner": {
+        "box": (-1.01, 1.02, -1.015),
+        "cylinder": (0.7, -0.73, -1.01),
+        "sphere": (-0.6, 0.6, -0.55),
+    },
+    "on a slide": {
+        "box": (0.9, 0.2, -0.8),
+        "cylinder": (0.5, -0.4, -0.8),
+        "sphere": (0.4, 0.3, -0.6),
+    },
+}
 # shape, law and integrator know nothing of each other: every pair is compiled, not every three
-RK4 = (("box", "ramped"), ("box", "paper"), ("cylinder", "ramped"), ("sphere", "paper"))
-SEMI_IMPLICIT = (("box", "ramped"), ("cylinder", "paper"), ("sphere", "ramped"))
-KERNELS = [(*pair, "rk4") for pair in RK4] + [(*pair, "semi_implicit") for pair in SEMI_IMPLICIT]
+KERNELS = [
+    ("box", "ramped", "rk4"),
+    ("box", "paper", "rk4"),
+    ("cylinder", "ramped", "rk4"),
+    ("sphere", "paper", "rk4"),
+    ("box", "ramped", "semi_implicit"),
+    ("cylinder", "paper", "semi_implicit"),
+    ("sphere", "ramped", "semi_implicit"),
+]
 CASES = [
     pytest.param(scene, *kernel, id="-".join((scene, *kernel)))
     for kernel in KERNELS
@@ -70,7 +97,13 @@ def joint_run(seed: int = 1, duration_s: float = 0.3) -> JointRun:
         friction_velocity=0.02,
         step_s=step,
         fine_step_s=step,
-        input_load=np.array([[0.01, 0.2], [-0.02, 0.3], [0.015, -0.1]]),
+        input_load=np.array(
+            [
+                [0.01, 0.2],
+                [-0.02, 0.3],
+                [0.015, -0.1],
+            ]
+        ),
     )
 
 
@@ -94,15 +127,15 @@ def scene(
     law: str,
     integrator: str,
 ) -> tuple[SphereSimulator, np.ndarray]:
-    kind, starts = SCENES[name]
+    kind = "prismatic" if name == "on a slide" else "revolute"
     inside = enclosure(shape)
     p = np.zeros((1, len(SPHERE_PARAMETERS)))
-    for parameter, value in {
-        **BASE,
-        "delay": BASE["delay"] * (-1.0 if name == "bouncing" else 1.0),
-    }.items():
+    for parameter, value in BASE.items():
         p[0, SPHERE_INDEX[parameter]] = value
-    p[0, [SPHERE_INDEX[f"start_{axis}"] for axis in "xyz"]] = np.array(starts[shape]) * inside.room
+    if name == "bouncing":
+        p[0, SPHERE_INDEX["delay"]] *= -1.0
+    start = np.array(SCENES[name][shape]) * inside.room
+    p[0, [SPHERE_INDEX[f"start_{axis}"] for axis in "xyz"]] = start
     return SphereSimulator(
         [sphere_run(kind, joint_run())],
         inside,
@@ -117,19 +150,16 @@ def differences(
     step: np.ndarray,
 ) -> np.ndarray:
     """Central differences of second and fourth order of joint and sphere, shape (2, P, T, 4); all in one launch."""
-    moved = p + np.array([-2.0, -1.0, 1.0, 2.0])[:, None, None] * np.diag(step)
+    steps = np.array([-2.0, -1.0, 1.0, 2.0])
+    moved = p + steps[:, None, None] * np.diag(step)
     worlds = moved.reshape(-1, len(step))
     q, _, x, *_ = states_of(
         sim,
         np.zeros(len(worlds), dtype=np.int32),
         worlds,
     )
-    far, near, next_, last = np.concatenate([q[..., None], x], axis=2).reshape(
-        4,
-        len(step),
-        -1,
-        4,
-    )
+    seen = np.concatenate([q[..., None], x], axis=2)
+    far, near, next_, last = seen.reshape(4, len(step), -1, 4)
     second = (next_ - near) / 2.0
     fourth = (far - 8.0 * near + 8.0 * next_ - last) / 12.0
     return np.array([second, fourth]) / step[:, None, None]
@@ -146,21 +176,11 @@ def test_sensitivities_against_central_differences(
     no kink: over 8 a false tangent meets none of them to 1e-6.
     """
     sim, p = scene(name, shape, law, integrator)
-    q, _, by_parameter = (array.copy() for array in sim.jacobian(ONE, p, EVERY))
-    x, dx = sim.path(ONE, p, EVERY)
-    states = states_of(sim, ONE, p)
-    np.testing.assert_allclose(q, states[0], atol=1e-13)
-    np.testing.assert_allclose(x, states[2], atol=1e-13)
-    exact = np.concatenate(
-        [
-            by_parameter[0][:, None, :],
-            dx[0],
-        ],
-        axis=1,
-    )  # (T, 4, P)
+    exact = sensitivities(sim, p)
     size = np.maximum(np.abs(p[0]), 1e-3)
     estimates = [differences(sim, p, step * size) for step in STEPS]
     for row, parameter in enumerate(SPHERE_PARAMETERS):
+        steps = [step * size[row] for step in STEPS]
         for what, columns in (("joint", slice(0, 1)), ("sphere", slice(1, 4))):
             wanted = exact[:, columns, row]
             scale = np.abs(wanted).max()
@@ -170,15 +190,51 @@ def test_sensitivities_against_central_differences(
             assert scale * size[row] > 1e-7, (
                 f"{parameter} moves the {what} too little to be checked"
             )
-            off = np.full(wanted.shape, np.inf)
-            for step, estimate in zip(STEPS, estimates, strict=True):
-                rounding = 2e-15 / (step * size[row])
-                if rounding < 2e-5 * scale:
-                    error = np.abs(estimate[:, row, :, columns] - wanted).min(axis=0)
-                    off = np.minimum(off, error / (1e-6 * scale + rounding))
-            assert off.max() < 1.0, (
-                f"{what} by {parameter}: off by {off.max():.2g} of what is allowed"
+            off = worst_of_best(
+                wanted,
+                steps,
+                [estimate[:, row, :, columns] for estimate in estimates],
             )
+            assert off < 1.0, f"{what} by {parameter}: off by {off:.2g} of what is allowed"
+
+
+def sensitivities(sim: SphereSimulator, p: np.ndarray) -> np.ndarray:
+    """Of the joint's position and the sphere's three by every parameter, (T, 4, P)."""
+    found = sim.jacobian(ONE, p, EVERY)
+    q, _, by_parameter = (array.copy() for array in found)
+    x, dx = sim.path(ONE, p, EVERY)
+    states = states_of(sim, ONE, p)
+    np.testing.assert_allclose(q, states[0], atol=1e-13)
+    np.testing.assert_allclose(x, states[2], atol=1e-13)
+    return np.concatenate(
+        [
+            by_parameter[0][:, None, :],
+            dx[0],
+        ],
+        axis=1,
+    )
+
+
+def worst_of_best(
+    wanted: np.ndarray,
+    steps: list[float],
+    estimates: list[np.ndarray],
+) -> float:
+    """Largest error, of what is allowed, where each sample takes the difference that fits it best.
+
+    Args:
+        wanted: the tangent, (T, N).
+        steps: of the differences, in the parameter's unit.
+        estimates: differences of second and fourth order, (2, T, N) for each step.
+    """
+    scale = np.abs(wanted).max()
+    off = np.full(wanted.shape, np.inf)
+    for step, estimate in zip(steps, estimates, strict=True):
+        rounding = 2e-15 / step
+        if rounding < 2e-5 * scale:
+            error = np.abs(estimate - wanted).min(axis=0)
+            off = np.minimum(off, error / (1e-6 * scale + rounding))
+    return float(off.max())
 
 
 @pytest.mark.parametrize(("name", "shape", "law", "integrator"), CASES)
@@ -196,7 +252,10 @@ def test_tape_against_sensitivities(
     np.testing.assert_allclose(tape.q, q, atol=1e-13)
     gradient = tape.gradient(weights)
     np.testing.assert_allclose(
-        gradient, expected, rtol=1e-10, atol=1e-10 * np.abs(expected * p).max()
+        gradient,
+        expected,
+        rtol=1e-10,
+        atol=1e-10 * np.abs(expected * p).max(),
     )
     # a second backward pass starts from zero
     np.testing.assert_array_equal(tape.gradient(weights), gradient)
@@ -214,7 +273,9 @@ def test_the_supply_limits_the_current_here() -> None:
         ],
         sim.enclosure,
     )
-    assert np.abs(states_of(sim, ONE, p)[0] - states_of(strong, ONE, p)[0]).max() > 0.01
+    weakly = states_of(sim, ONE, p)[0]
+    strongly = states_of(strong, ONE, p)[0]
+    assert np.abs(weakly - strongly).max() > 0.01
 
 
 @pytest.mark.parametrize("integrator", ["rk4", "semi_implicit"])
@@ -233,7 +294,8 @@ def test_a_longer_delay_takes_a_sample_under_the_former_current(integrator: str)
     )
     column = SPHERE_INDEX["delay"]
     p[0, column] = 0.0
-    exact = sim.jacobian(ONE, p, EVERY)[2][0, :, column].copy()
+    by_parameter = sim.jacobian(ONE, p, EVERY)[2]
+    exact = by_parameter[0, :, column].copy()
     dx = sim.path(ONE, p, EVERY)[1][0, :, :, column]
     step = 1e-7
     moved = np.repeat(p, 3, axis=0)
@@ -244,7 +306,8 @@ def test_a_longer_delay_takes_a_sample_under_the_former_current(integrator: str)
         moved,
     )
     for values, wanted in ((q, exact), (x, dx)):
-        difference = (-3.0 * values[0] + 4.0 * values[1] - values[2]) / (2.0 * step)
+        now, once, twice = values
+        difference = (-3.0 * now + 4.0 * once - twice) / (2.0 * step)
         np.testing.assert_allclose(
             difference,
             wanted,
@@ -261,15 +324,43 @@ def test_few_directions_equal_all_of_them() -> None:
     sim, p = scene("corner", "cylinder", "ramped", "rk4")
     every = sim.jacobian(ONE, p, EVERY)[2].copy()
     paths = sim.path(ONE, p, EVERY)[1]
-    directions = (
-        np.random.default_rng(1).normal(size=(1, len(SPHERE_PARAMETERS), 5)) * p[0, :, None]
+    rng = np.random.default_rng(1)
+    directions = rng.normal(size=(1, len(SPHERE_PARAMETERS), 5)) * p[0, :, None]
+    np.testing.assert_allclose(
+        sim.jacobian(ONE, p, directions)[2],
+        every @ directions[0],
+        rtol=1e-9,
+        atol=1e-12,
     )
     np.testing.assert_allclose(
-        sim.jacobian(ONE, p, directions)[2], every @ directions[0], rtol=1e-9, atol=1e-12
+        sim.path(ONE, p, directions)[1],
+        paths @ directions[0],
+        rtol=1e-9,
+        atol=1e-12,
     )
-    np.testing.assert_allclose(
-        sim.path(ONE, p, directions)[1], paths @ directions[0], rtol=1e-9, atol=1e-12
-    )
+
+
+def as_its_own_simulator_says(
+    run: JointRun | SphereRun,
+    p: np.ndarray,
+    window: list[np.ndarray],
+) -> None:
+    """Angles, speeds and sensitivities of the first samples of one world, (T,), (T,) and (T, P)."""
+    if isinstance(run, SphereRun):
+        alone = SphereSimulator([run], enclosure("box"))
+        width = len(SPHERE_PARAMETERS)
+    else:
+        alone = JointSimulator([run])
+        width = len(PARAMETERS)
+        np.testing.assert_array_equal(window[2][:, width:], 0.0)
+    expected = alone.jacobian(ONE, p[None, :width], EVERY[:, :width])
+    for got, wanted in zip(window, expected, strict=True):
+        np.testing.assert_allclose(
+            got,
+            wanted[0, : len(got)],
+            rtol=1e-12,
+            atol=1e-13,
+        )
 
 
 def test_runs_with_and_without_a_sphere_share_a_call() -> None:
@@ -303,32 +394,10 @@ def test_runs_with_and_without_a_sphere_share_a_call() -> None:
     directions = np.repeat(EVERY, len(worlds), axis=0)
     for counts in (None, mixed.windows(0.5)):
         used = mixed.sample_counts if counts is None else counts
-        q, v, dq = mixed.jacobian(worlds, p, directions, counts)
+        found = mixed.jacobian(worlds, p, directions, counts)
         for world, run in enumerate(worlds):
-            own = runs[run]
-            n = used[run]
-            if isinstance(own, SphereRun):
-                alone = SphereSimulator([own], enclosure("box"))
-                width = len(SPHERE_PARAMETERS)
-            else:
-                alone = JointSimulator([own])
-                width = len(PARAMETERS)
-                np.testing.assert_array_equal(
-                    dq[world, :n, width:],
-                    0.0,
-                )
-            expected = alone.jacobian(
-                ONE,
-                p[world : world + 1, :width],
-                EVERY[:, :width],
-            )
-            for got, wanted in zip((q, v, dq), expected, strict=True):
-                np.testing.assert_allclose(
-                    got[world, :n],
-                    wanted[0, :n],
-                    rtol=1e-12,
-                    atol=1e-13,
-                )
+            window = [array[world, : used[run]] for array in found]
+            as_its_own_simulator_says(runs[run], p[world], window)
     # a world has the parameters of a sphere, rolling or not
     with pytest.raises(ValueError, match="shape"):
         mixed.jacobian(

@@ -7,7 +7,7 @@ per episode, float32 vectors, ``timestamp`` from 0 in each episode. What the pac
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +16,125 @@ import numpy as np
 from proprio_ros.recordings.motions import Motion
 
 PER_CHUNK = 1000
+
+
+class _FilePerEpisode:
+    """Version 2.1."""
+
+    NAMED = "data/chunk-{episode_chunk:03d}/episode_{episode_index:06d}.parquet"
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self.rows: list[dict[str, Any]] = []
+
+    def write(self, table: Any, first: int) -> None:
+        import pyarrow.parquet as pq
+
+        del first
+        index = len(self.rows)
+        place = self.NAMED.format(episode_chunk=index // PER_CHUNK, episode_index=index)
+        path = self._folder / place
+        path.parent.mkdir(parents=True, exist_ok=True)
+        pq.write_table(table, path)
+        self.rows.append({"episode_index": index, "tasks": ["weigh"], "length": len(table)})
+
+    def close(self) -> None:
+        """Nothing is open."""
+
+
+class _SharedFiles:
+    """Version 3: several episodes in a file, a row group each."""
+
+    NAMED = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
+
+    def __init__(self, folder: Path, per_file: int) -> None:
+        self._folder = folder
+        self._per_file = per_file
+        self._number = -1
+        self._writer: Any = None
+        self.rows: list[dict[str, Any]] = []
+
+    def write(self, table: Any, first: int) -> None:
+        """The next episode, whose first frame is so many after the data set's."""
+        index = len(self.rows)
+        number = index // self._per_file
+        chunk = number // PER_CHUNK
+        file = number % PER_CHUNK
+        if number != self._number:
+            self._open(self.NAMED.format(chunk_index=chunk, file_index=file), table.schema)
+            self._number = number
+        self._writer.write_table(table)
+        self.rows.append(
+            {
+                "episode_index": index,
+                "tasks": ["weigh"],
+                "length": len(table),
+                "data/chunk_index": chunk,
+                "data/file_index": file,
+                "dataset_from_index": first,
+                "dataset_to_index": first + len(table),
+            }
+        )
+
+    def _open(self, place: str, schema: Any) -> None:
+        import pyarrow.parquet as pq
+
+        self.close()
+        path = self._folder / place
+        path.parent.mkdir(parents=True, exist_ok=True)
+        self._writer = pq.ParquetWriter(path, schema)
+
+    def close(self) -> None:
+        if self._writer is not None:
+            self._writer.close()
+
+
+def _frames(
+    motion: Motion,
+    constants: Sequence[float],
+    index: int,
+    first: int,
+    numbers: Mapping[str, float],
+) -> Any:
+    """Table of an episode's frames.
+
+    Args:
+        motion: The episode.
+        constants: Torque constants [N m/A].
+        index: Of the episode.
+        first: Of its frames, in the data set.
+        numbers: The same in all its frames, by column.
+    """
+    import pyarrow as pa
+
+    frames = len(motion.times_s)
+    vectors = {
+        "observation.state": motion.position,
+        "observation.effort": motion.current_A * np.asarray(constants),
+        "action": motion.position,
+    }
+    columns: dict[str, Any] = {}
+    for name, values in vectors.items():
+        flat = pa.array(values.astype(np.float32).ravel())
+        columns[name] = pa.FixedSizeListArray.from_arrays(flat, len(motion.joints))
+    for name, number in numbers.items():
+        columns[name] = pa.array(np.full(frames, number), pa.float32())
+    columns["timestamp"] = pa.array(motion.times_s, pa.float32())
+    columns["frame_index"] = pa.array(np.arange(frames))
+    columns["episode_index"] = pa.array(np.full(frames, index))
+    columns["index"] = pa.array(np.arange(first, first + frames))
+    columns["task_index"] = pa.array(np.zeros(frames, np.int64))
+    return pa.table(columns)
+
+
+def _features(joints: Sequence[str], extra: Sequence[str]) -> dict[str, Any]:
+    vector = {"dtype": "float32", "shape": [len(joints)], "names": list(joints)}
+    features = dict.fromkeys(("observation.state", "observation.effort", "action"), vector)
+    for name in (*extra, "timestamp"):
+        features[name] = {"dtype": "float32", "shape": [1], "names": None}
+    for name in ("frame_index", "episode_index", "index", "task_index"):
+        features[name] = {"dtype": "int64", "shape": [1], "names": None}
+    return features
 
 
 def write_data_set(
@@ -43,111 +162,37 @@ def write_data_set(
     import pyarrow.parquet as pq
 
     (folder / "meta").mkdir(parents=True)
+    columns = extra or {}
+    files: _FilePerEpisode | _SharedFiles = (
+        _FilePerEpisode(folder) if version == "v2.1" else _SharedFiles(folder, per_file)
+    )
     total = 0
-    count = 0
-    rows = []
-    writer = None
-    at = None
     names: Sequence[str] = ()
     for index, motion in enumerate(motions):
         names = motion.joints
-        frames = len(motion.times_s)
-        vectors = {
-            "observation.state": motion.position,
-            "observation.effort": motion.current_A * np.asarray(constants),
-            "action": motion.position,
-        }
-        columns: dict[str, Any] = {
-            name: pa.FixedSizeListArray.from_arrays(
-                pa.array(values.astype(np.float32).ravel()), len(names)
-            )
-            for name, values in vectors.items()
-        }
-        for name, values in (extra or {}).items():
-            columns[name] = pa.array(
-                np.full(frames, values[index]),
-                pa.float32(),
-            )
-        columns["timestamp"] = pa.array(
-            motion.times_s,
-            pa.float32(),
-        )
-        columns["frame_index"] = pa.array(np.arange(frames))
-        columns["episode_index"] = pa.array(np.full(frames, index))
-        columns["index"] = pa.array(np.arange(total, total + frames))
-        columns["task_index"] = pa.array(np.zeros(frames, np.int64))
-        table = pa.table(columns)
-        if version == "v2.1":
-            path = folder / f"data/chunk-{index // PER_CHUNK:03d}/episode_{index:06d}.parquet"
-            path.parent.mkdir(parents=True, exist_ok=True)
-            pq.write_table(table, path)
-            rows.append(
-                {
-                    "episode_index": index,
-                    "tasks": ["weigh"],
-                    "length": frames,
-                }
-            )
-        else:
-            number = index // per_file
-            if at != number:
-                if writer is not None:
-                    writer.close()
-                path = (
-                    folder
-                    / f"data/chunk-{number // PER_CHUNK:03d}/file-{number % PER_CHUNK:03d}.parquet"
-                )
-                path.parent.mkdir(parents=True, exist_ok=True)
-                writer = pq.ParquetWriter(path, table.schema)
-                at = number
-            writer.write_table(table)
-            rows.append(
-                {
-                    "episode_index": index,
-                    "tasks": ["weigh"],
-                    "length": frames,
-                    "data/chunk_index": number // PER_CHUNK,
-                    "data/file_index": number % PER_CHUNK,
-                    "dataset_from_index": total,
-                    "dataset_to_index": total + frames,
-                }
-            )
-        total = total + frames
-        count = count + 1
-    if writer is not None:
-        writer.close()
-    vector = {
-        "dtype": "float32",
-        "shape": [len(names)],
-        "names": list(names),
-    }
-    features = dict.fromkeys(("observation.state", "observation.effort", "action"), vector)
-    for name in (*(extra or {}), "timestamp"):
-        features[name] = {"dtype": "float32", "shape": [1], "names": None}
-    for name in ("frame_index", "episode_index", "index", "task_index"):
-        features[name] = {"dtype": "int64", "shape": [1], "names": None}
+        numbers = {name: values[index] for name, values in columns.items()}
+        files.write(_frames(motion, constants, index, total, numbers), total)
+        total = total + len(motion.times_s)
+    files.close()
     info = {
         "codebase_version": version,
         "robot_type": "twin",
-        "total_episodes": count,
+        "total_episodes": len(files.rows),
         "total_frames": total,
         "total_tasks": 1,
         "chunks_size": PER_CHUNK,
         "fps": rate_hz,
-        "splits": {"train": f"0:{count}"},
-        "data_path": "data/chunk-{episode_chunk:03d}/episode_{episode_index:06d}.parquet"
-        if version == "v2.1"
-        else "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet",
+        "splits": {"train": f"0:{len(files.rows)}"},
+        "data_path": files.NAMED,
         "video_path": None,
-        "features": features,
+        "features": _features(names, tuple(columns)),
     }
     (folder / "meta" / "info.json").write_text(json.dumps(info, indent=4))
     if version == "v2.1":
-        (folder / "meta" / "episodes.jsonl").write_text(
-            "".join(json.dumps(row) + "\n" for row in rows)
-        )
+        lines = [json.dumps(row) + "\n" for row in files.rows]
+        (folder / "meta" / "episodes.jsonl").write_text("".join(lines))
     else:
         path = folder / "meta/episodes/chunk-000/file-000.parquet"
         path.parent.mkdir(parents=True)
-        pq.write_table(pa.Table.from_pylist(rows), path)
+        pq.write_table(pa.Table.from_pylist(files.rows), path)
     return folder

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -11,8 +12,100 @@ import numpy as np
 from proprio_ros.recordings.messages import RawMessage, message_types
 from proprio_ros.recordings.topics import JOINT_STATE
 from proprio_ros.recordings.writer import write_messages
+from support.arm_in_motion import inertia_matrix
 
 STEP_S = 0.001
+
+
+@dataclass(frozen=True)
+class Goals:
+    """Three sines for each joint about a middle: what the controller asks for, all of N joints."""
+
+    phases: np.ndarray
+    speeds: np.ndarray
+    sizes: np.ndarray
+    middle: np.ndarray
+
+    @classmethod
+    def draw(cls, random: np.random.Generator, middle: np.ndarray) -> Goals:
+        shape = (len(middle), 3)
+        phases = random.uniform(0.0, 2.0 * np.pi, shape)
+        speeds = random.uniform(0.4, 2.2, shape)
+        sizes = random.uniform(0.1, 0.35, shape)
+        return cls(phases, speeds, sizes, middle)
+
+    def at(self, t: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Position, velocity and acceleration."""
+        angle = self.speeds * t + self.phases
+        swings = self.sizes * np.sin(angle)
+        rates = self.sizes * self.speeds * np.cos(angle)
+        bends = -self.sizes * self.speeds**2 * np.sin(angle)
+        return (
+            self.middle + swings.sum(axis=1),
+            rates.sum(axis=1),
+            bends.sum(axis=1),
+        )
+
+
+class JointStates:
+    """Messages of ``/joint_states`` as a bag stores them."""
+
+    def __init__(self, joints: Sequence[str]) -> None:
+        self.joints = list(joints)
+        self.messages: list[RawMessage] = []
+        self._types: Any = message_types()
+        self._time = self._types.types["builtin_interfaces/msg/Time"]
+        self._header = self._types.types["std_msgs/msg/Header"]
+        self._state = self._types.types[JOINT_STATE]
+
+    def add(self, time_ns: int, *values: np.ndarray) -> None:
+        """One more: positions, velocities and efforts, as the topic has them."""
+        time = self._time(sec=time_ns // 10**9, nanosec=time_ns % 10**9)
+        header = self._header(stamp=time, frame_id="")
+        message = self._state(header, self.joints, *values)
+        raw = bytes(self._types.serialize_cdr(message, JOINT_STATE))
+        self.messages.append(RawMessage("/joint_states", JOINT_STATE, time_ns, raw))
+
+
+def _model_of(
+    urdf: Path,
+    joints: Sequence[str],
+    hand: str,
+    load_kg: float,
+    robot: np.random.Generator,
+) -> Any:
+    """The arm with a load and with links that are not what its file says; other joints do not move.
+
+    Args:
+        urdf: Of the arm.
+        joints: That move.
+        hand: Link that holds the load.
+        load_kg: Of the load.
+        robot: Draws the links' masses.
+    """
+    import mujoco
+
+    spec = mujoco.MjSpec.from_file(str(urdf))
+    spec.compiler.fusestatic = False
+    spec.compiler.balanceinertia = True
+    spec.option.timestep = STEP_S
+    spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    spec.option.gravity = (0.0, 0.0, -9.81)
+    spec.option.disableflags = int(
+        mujoco.mjtDisableBit.mjDSBL_CONTACT | mujoco.mjtDisableBit.mjDSBL_LIMIT
+    )
+    for equality in list(spec.equalities):
+        spec.delete(equality)
+    for joint in list(spec.joints):
+        if joint.name not in joints:
+            spec.delete(joint)
+    for body in spec.bodies[1:]:
+        body.mass *= 1.0 + 0.04 * robot.standard_normal()
+    if load_kg:
+        cube = spec.body(hand).add_body(name="load", explicitinertial=True)
+        cube.mass = load_kg
+        cube.inertia = [load_kg * 0.04**2 / 6.0] * 3
+    return spec.compile()
 
 
 def record_arm(
@@ -50,24 +143,7 @@ def record_arm(
     robot = np.random.default_rng(robot_seed)
     random = np.random.default_rng(seed)
     count = len(constants)
-    spec = mujoco.MjSpec.from_file(str(urdf))
-    spec.compiler.fusestatic, spec.compiler.balanceinertia = False, True
-    spec.option.timestep, spec.option.integrator = STEP_S, mujoco.mjtIntegrator.mjINT_IMPLICITFAST
-    spec.option.gravity = (0.0, 0.0, -9.81)
-    spec.option.disableflags = int(
-        mujoco.mjtDisableBit.mjDSBL_CONTACT | mujoco.mjtDisableBit.mjDSBL_LIMIT
-    )
-    for equality in list(spec.equalities):
-        spec.delete(equality)
-    for joint in list(spec.joints):
-        if joint.name not in constants:
-            spec.delete(joint)
-    for body in spec.bodies[1:]:
-        body.mass *= 1.0 + 0.04 * robot.standard_normal()
-    if load_kg:
-        cube = spec.body(hand).add_body(name="load", explicitinertial=True)
-        cube.mass, cube.inertia = load_kg, [load_kg * 0.04**2 / 6.0] * 3
-    model = spec.compile()
+    model = _model_of(urdf, list(constants), hand, load_kg, robot)
     data = mujoco.MjData(model)
     dofs = np.array([model.joint(name).dofadr[0] for name in constants])
     model.dof_armature[dofs] = rotor_kg_m2 * robot.uniform(0.5, 1.5, count)
@@ -75,63 +151,26 @@ def record_arm(
     model.dof_frictionloss[dofs] = (
         friction_N_m * robot.uniform(0.5, 1.5, count) * random.normal(1.0, 0.03, count)
     )
-    phases, speeds = (
-        random.uniform(
-            0.0,
-            2.0 * np.pi,
-            (count, 3),
-        ),
-        random.uniform(0.4, 2.2, (count, 3)),
-    )
-    sizes, about = (
-        random.uniform(0.1, 0.35, (count, 3)),
-        np.zeros(count) if middle is None else np.array(middle),
-    )
-
-    def wanted(t: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        angle = speeds * t + phases
-        return (
-            about + (sizes * np.sin(angle)).sum(axis=1),
-            (sizes * speeds * np.cos(angle)).sum(axis=1),
-            -(sizes * speeds**2 * np.sin(angle)).sum(axis=1),
-        )
-
-    data.qpos[dofs], data.qvel[dofs], _ = wanted(0.0)
+    goals = Goals.draw(random, np.zeros(count) if middle is None else np.array(middle))
+    data.qpos[dofs], data.qvel[dofs], _ = goals.at(0.0)
     inertia = np.zeros((model.nv, model.nv))
     per_effort = np.array(list(constants.values()))
-    types: Any = message_types()
-    time, header, state = (
-        types.types[name]
-        for name in ("builtin_interfaces/msg/Time", "std_msgs/msg/Header", JOINT_STATE)
-    )
-    messages = []
+    states = JointStates(list(constants))
     every = round(1.0 / (rate_hz * STEP_S))
     for step in range(round(seconds / STEP_S)):
         position = data.qpos[dofs].copy()
         velocity = data.qvel[dofs].copy()
-        goal, speed, acceleration = wanted(step * STEP_S)
+        goal, speed, acceleration = goals.at(step * STEP_S)
         mujoco.mj_forward(model, data)
-        if hasattr(data, "qM"):
-            mujoco.mj_fullM(model, inertia, data.qM)
-        else:
-            mujoco.mj_fullM(model, data, inertia)
+        inertia_matrix(model, data, inertia)
         pushed = acceleration + 100.0 * (goal - position) + 20.0 * (speed - velocity)
         torque = inertia[np.ix_(dofs, dofs)] @ pushed + data.qfrc_bias[dofs]
         if step % every == 0:
             time_ns = 10**9 + step * round(1e9 * STEP_S)
-            stamp = header(
-                stamp=time(
-                    sec=time_ns // 10**9,
-                    nanosec=time_ns % 10**9,
-                ),
-                frame_id="",
-            )
             seen = position + random.normal(0.0, 1e-4, count)
             efforts = (torque + random.normal(0.0, torque_noise, count)) / per_effort
-            message = state(stamp, list(constants), seen, velocity, efforts)
-            raw = bytes(types.serialize_cdr(message, JOINT_STATE))
-            messages.append(RawMessage("/joint_states", JOINT_STATE, time_ns, raw))
+            states.add(time_ns, seen, velocity, efforts)
         data.qfrc_applied[dofs] = torque
         mujoco.mj_step(model, data)
-    write_messages(folder, messages)
+    write_messages(folder, states.messages)
     return folder

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
+from proprio_ros.sim.joint import JointSimulator
 from proprio_ros.sim.joint_kernels import (
     CARRIED,
     CURRENT,
@@ -49,6 +50,30 @@ from proprio_ros.sim.sphere_kernels import (
 from proprio_ros.sim.squeeze import SqueezeSimulator
 from proprio_ros.sim.squeeze_kernels import SqueezeData, excitation_of_block
 from support.taped import PlainLaw, TapedRollout, acceleration, forward, plain_joint_law, tape
+
+
+def difference(
+    simulator: JointSimulator,
+    p: np.ndarray,
+    row: int,
+    step: float,
+) -> np.ndarray:
+    """Central difference of the angles of one world by one parameter, shape (1, T).
+
+    Args:
+        simulator: of one run.
+        p: parameters of one world, shape (1, P).
+        row: which parameter.
+        step: of the difference to each side, in the parameter's unit.
+    """
+    up = p.copy()
+    up[0, row] += step
+    down = p.copy()
+    down[0, row] -= step
+    world = np.zeros(1, dtype=np.int32)
+    above = simulator.rollout(world, up)[0]
+    below = simulator.rollout(world, down)[0]
+    return (above - below) / (2.0 * step)
 
 
 @wp.func
