@@ -76,6 +76,8 @@ setup(
         "report": ["matplotlib>=3.6"],
         # one solver of three, which `--solver cma` and `proprio paper` ask for
         "cma": ["cma>=3.3,<5"],
+        # `proprio pendant`: pages in a browser, with all that they load
+        "pendant": ["nicegui>=3.0,<4"],
         # `proprio paper` compares optimisers on recordings of a simulated arm
         "paper": ["mujoco>=3.7,<5", "cma>=3.3,<5"],
         "test": [

@@ -19,6 +19,7 @@ LIBRARIES = {
     "cma": "one of the solvers",
     "meshio": "blocks from mesh files",
     "pandas": "`to_frame()` of results",
+    "nicegui": "pages of the pendant",
 }
 """Imported where they are used and when they are needed, and what for."""
 

@@ -56,6 +56,14 @@ MODULES: dict[str, tuple[str, ...]] = {
         "resources",
         "settings",
     ),
+    "nodes": (
+        "arguments",
+        "graph",
+        "messages",
+        "middleware",
+        "programs",
+        "qos",
+    ),
     "pipeline": (
         "api",
         "calibrate",

@@ -146,6 +146,21 @@ ROOMS: dict[str, set[str]] = {
             "cli",
         )
     },
+    # a client of the nodes
+    "addons.pendant": {
+        *(
+            "inputs",
+            "robot",
+            "recordings",
+            "excitation",
+            "identification",
+            "report",
+            "probes",
+            "pipeline",
+            "nodes",
+            "cli",
+        )
+    },
 }
 ROS = {
     "rclpy",
@@ -171,6 +186,7 @@ ONLY_IN = {
     "meshio": {"sim"},
     "pyarrow": {"recordings", "addons.fleet"},
     "ray": {"addons.fleet"},
+    "nicegui": {"addons.pendant"},
 }
 
 
@@ -218,7 +234,8 @@ def test_no_arrow_points_up(path: Path) -> None:
         if top == "proprio_ros":
             target = room_named(rest.split("."))
             assert target in may, f"{room} must not look at {target}"
-        assert top not in ROS or room == "nodes", f"{room} must not import {top}"
+        hears = room == "nodes" or path.match("addons/pendant/listener.py")
+        assert top not in ROS or hears, f"{room} must not import {top}"
         assert room in ONLY_IN.get(top, {room}), f"{room} must not import {top}"
 
 
@@ -284,7 +301,7 @@ def test_add_ons_use_the_public_part_of_the_core() -> None:
                 assert module in public, f"{path}: {name} is not of the public part of the core"
                 assert not re.search(r"\._[^_]", name), f"{path}: {name} is private"
                 used.add(module)
-    assert used == public and len(public) <= 80, f"no add-on uses {public - used}"
+    assert used == public and len(public) <= 90, f"no add-on uses {public - used}"
 
 
 def test_few_modules_stand_on_top() -> None:

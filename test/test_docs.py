@@ -321,7 +321,7 @@ def test_the_workflow_runs_the_gate_and_the_gate_builds_the_pages() -> None:
     assert {"run": ".ci/run"} in jobs["gate"]["steps"]
     assert {"run": COMMANDS[1]} in jobs["tests"]["steps"]
     gate = text_of(REPOSITORY / ".ci" / "run")
-    assert "-e '.[ros,sim,test,docs]'\n" in gate
+    assert "-e '.[ros,sim,test,docs,pendant]'\n" in gate
     assert gate.endswith('.venv/bin/python .ci/tests.py "${wiring[@]}"\n')
     pages = text_of(REPOSITORY / "test" / "test_documentation_pages.py")
     assert re.search(r'"mkdocs",\s*"build",\s*"-q",\s*"--strict"', pages)

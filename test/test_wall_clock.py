@@ -24,7 +24,7 @@ ALARMS = {
     "threading.Timer",
     "faulthandler.dump_traceback_later",
 }
-HELPERS = {"live.py", "waiting.py"}
+HELPERS = {"live.py", "pendant.py", "tab.py", "waiting.py"}
 """In test/support, for tests of wiring."""
 
 

@@ -40,7 +40,7 @@ class Patience:
         return self._now() - self._since_s > self._silence_s
 
 
-def _end_with_parent() -> None:
+def end_with_parent() -> None:
     """In the child: Linux tells it to end when we are gone, even killed."""
     ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
 
@@ -104,7 +104,7 @@ class Graph:
                 "stdout": log,
                 "stderr": subprocess.STDOUT,
             }
-            alone: dict[str, Any] = {"start_new_session": True, "preexec_fn": _end_with_parent}
+            alone: dict[str, Any] = {"start_new_session": True, "preexec_fn": end_with_parent}
             process = self.processes[node] = subprocess.Popen(
                 words, env=self._environment, **streams, **alone
             )

@@ -23,6 +23,7 @@ BRINGS = {
     "contents": set(),
     "fleet": {"batch"},
     "paper": {"paper"},
+    "pendant": {"pendant"},
 }
 """Commands of ``proprio`` by add-on."""
 CORE = (

@@ -1,0 +1,165 @@
+"""``proprio call`` as a process: whoever ends it ends the job that it began, and the arm is held.
+
+That holds for a pendant that is killed, too: its processes are told to end, and cancel what they began.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import re
+import shlex
+import signal
+import sys
+from asyncio.subprocess import DEVNULL, PIPE, Process
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from time import monotonic
+from typing import Any
+
+from proprio_ros.nodes.graph import end_with_parent
+
+LONGEST_LINE = 2**20  # bytes
+SHOWN = 200
+"""So many of the latest sentences are kept."""
+_RUN = re.compile(r"\brun (\d+) of (\d+)")
+
+
+class Call:
+    """One service, called by ``proprio call``.
+
+    Attributes:
+        service: Its name.
+        words: The command, as one would type it.
+        said: What has gone on so far, a sentence each.
+        answer: What ``--json`` printed in the end; None: it is under way.
+        cancelled: Whether somebody has asked for its end.
+        seconds: How long it took; None: it is under way.
+    """
+
+    def __init__(self, service: str, settings: Sequence[str] = (), namespace: str = "") -> None:
+        self.service = service
+        words = ["call", service]
+        for setting in settings:
+            words += ["--set", setting]
+        if namespace:
+            words += ["--namespace", namespace]
+        self.words = words
+        self.said: list[str] = []
+        self.answer: dict[str, Any] | None = None
+        self.cancelled = False
+        self.seconds: float | None = None
+        self._begun_s = monotonic()
+        self._process: Process | None = None
+
+    @property
+    def command(self) -> str:
+        """To copy."""
+        return shlex.join(["proprio", *self.words])
+
+    @property
+    def under_way(self) -> bool:
+        """Whether its answer has not come yet."""
+        return self.answer is None
+
+    @property
+    def elapsed_s(self) -> float:
+        """How long it takes, or took."""
+        return monotonic() - self._begun_s if self.seconds is None else self.seconds
+
+    @property
+    def progress(self) -> tuple[int, int] | None:
+        """The run that is made, and how many there are; None: nobody says."""
+        for sentence in reversed(self.said):
+            found = _RUN.search(sentence)
+            if found:
+                return int(found[1]), int(found[2])
+        return None
+
+    async def run(self) -> None:
+        """Until it is answered."""
+        try:
+            self._process = await asyncio.create_subprocess_exec(
+                *(sys.executable, "-m", "proprio_ros.cli", *self.words, "--json"),
+                stdin=DEVNULL,
+                stdout=PIPE,
+                stderr=PIPE,
+                limit=LONGEST_LINE,
+                start_new_session=True,
+                preexec_fn=end_with_parent,
+            )
+            if self.cancelled:
+                self._interrupt()
+            printed, _ = await asyncio.gather(self._printed(), self._listen())
+            self.answer = _answer(printed, self.said)
+        finally:
+            self.seconds = monotonic() - self._begun_s
+            self.answer = self.answer or {"success": False, "message": "the call was given up"}
+
+    def cancel(self) -> None:
+        """End the job; the arm is held."""
+        if not self.cancelled:
+            self.cancelled = True
+            self._interrupt()
+
+    async def ended(self, seconds: float) -> None:
+        """Wait until it has ended, so long at most."""
+        if self._process is not None:
+            with contextlib.suppress(TimeoutError, asyncio.TimeoutError):
+                await asyncio.wait_for(self._process.wait(), seconds)
+
+    def _interrupt(self) -> None:
+        if self._process is not None and self._process.returncode is None:
+            self._process.send_signal(signal.SIGINT)
+
+    async def _printed(self) -> bytes:
+        assert self._process is not None and self._process.stdout is not None
+        return await self._process.stdout.read()
+
+    async def _listen(self) -> None:
+        assert self._process is not None and self._process.stderr is not None
+        async for line in self._process.stderr:
+            self.said.append(line.decode(errors="replace").strip().removeprefix("proprio: "))
+            del self.said[:-SHOWN]
+
+
+def _answer(printed: bytes, said: Sequence[str]) -> dict[str, Any]:
+    """What a call printed; its last words where that is nothing."""
+    try:
+        found = json.loads(printed)
+    except ValueError:
+        found = {}
+    message = found.get("message") or found.get("error") or (said[-1] if said else "no answer")
+    return {**found, "success": bool(found.get("success")), "message": message}
+
+
+class Calls:
+    """One call at a time."""
+
+    def __init__(self, namespace: str, tell: Callable[[str], None]) -> None:
+        self._namespace = namespace
+        self._tell = tell
+        self._task: asyncio.Task[None] | None = None
+        self.latest: Call | None = None
+
+    @property
+    def under_way(self) -> Call | None:
+        """The call that is not answered yet."""
+        latest = self.latest
+        return latest if latest is not None and latest.under_way else None
+
+    def begin(self, service: str, settings: Sequence[str] = ()) -> Call:
+        """Call a service, while none is under way."""
+        assert self.under_way is None
+        self.latest = call = Call(service, settings, self._namespace)
+        self._tell(call.command)
+        self._task = asyncio.create_task(call.run())
+        return call
+
+
+def kept_beside(message: str) -> Path | None:
+    """The folder of the recording that an answer names, where it is on this computer."""
+    found = re.search(r"recording: (\S.*)$", message)
+    folder = Path(found[1]).parent if found else None
+    return folder if folder is not None and folder.is_dir() else None

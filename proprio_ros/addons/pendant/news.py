@@ -1,0 +1,125 @@
+"""What the nodes say, the newest of each with its age. No ROS: `listener` writes here what it hears, pages read it."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections import deque
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from time import monotonic
+from typing import Any
+
+CURVE_S = 60.0
+"""So much of the mass is kept."""
+OLD_S = {"states": 1.0, "running": 1.0, "excitation": 6.0, "driver": 6.0, "diagnostics": 6.0}
+"""From then on news is old. What is not here is said once and stands until it is said anew."""
+
+
+@dataclass(frozen=True)
+class Said:
+    """A diagnostic status: a sentence with its keys and values."""
+
+    level: int  # 0 OK, 1 warning, 2 error
+    name: str
+    message: str
+    values: Mapping[str, str]
+
+
+@dataclass(frozen=True)
+class Point:
+    """A mass at some time, with its interval."""
+
+    at_s: float
+    mass_kg: float
+    low_kg: float
+    high_kg: float
+
+
+@dataclass
+class News:
+    """By a clock [s]; each entry is written as a whole.
+
+    Attributes:
+        positions: Of joints [rad or m].
+        efforts: Of joints [N m or N], where they are published.
+        entries: Newest of what is said, by what it is about.
+        curve: The mass in the last minute.
+        nodes: Those of ours that are there, by their own names.
+        description: URDF that was published; empty: none.
+    """
+
+    now: Callable[[], float] = monotonic
+    positions: dict[str, float] = field(default_factory=dict)
+    efforts: dict[str, float] = field(default_factory=dict)
+    entries: dict[str, Any] = field(default_factory=dict)
+    curve: deque[Point] = field(default_factory=deque)
+    nodes: frozenset[str] = frozenset()
+    description: str = ""
+    _heard_s: dict[str, float] = field(default_factory=dict)
+
+    def hear(self, about: str, entry: Any = None) -> None:
+        """Something new is known about this."""
+        self.entries[about] = entry
+        self._heard_s[about] = self.now()
+
+    def age_s(self, about: str) -> float:
+        """How long ago that was; infinite: never."""
+        return self.now() - self._heard_s.get(about, -math.inf)
+
+    def is_old(self, about: str) -> bool:
+        """Whether it was never heard, or too long ago."""
+        return self.age_s(about) > OLD_S.get(about, math.inf)
+
+    def hear_states(self, names: list[str], positions: list[float], efforts: list[float]) -> None:
+        """Joint states.
+
+        Args:
+            names: Of the joints.
+            positions: Of these [rad or m]; not a number where a joint has none.
+            efforts: Of these [N m or N]; empty: there are none.
+        """
+        known = zip(names, positions, strict=False)
+        self.positions.update((name, at) for name, at in known if math.isfinite(at))
+        self.efforts.update(zip(names, efforts, strict=False))
+        self.hear("states")
+
+    def hear_estimate(self, said: Said) -> None:
+        """What the identifier estimates, also of a run under way; a mass goes to the curve."""
+        self.hear("estimate", said)
+        if said.values.get("running") == "true":
+            self.hear("running")
+        point = _point(self.now(), said.values)
+        if point is None:
+            return
+        self.curve.append(point)
+        while self.curve[0].at_s < point.at_s - CURVE_S:
+            self.curve.popleft()
+
+    @property
+    def warnings(self) -> list[str]:
+        """What is wrong now, in words, worst first."""
+        found = [
+            entry
+            for about, entry in self.entries.items()
+            if isinstance(entry, Said) and entry.level > 0 and not self.is_old(about)
+        ]
+        found += [each for each in self.diagnostics if each.level > 0]
+        ordered = sorted(found, key=lambda said: -said.level)
+        return list(dict.fromkeys(said.message for said in ordered))
+
+    @property
+    def diagnostics(self) -> list[Said]:
+        """The bus, and each servo, as far as they are not old."""
+        return [] if self.is_old("diagnostics") else list(self.entries["diagnostics"])
+
+
+def _point(at_s: float, values: Mapping[str, str]) -> Point | None:
+    """The mass that keys and values state; None: they state none."""
+    name = next((key for key in values if values.get(f"{key}.unit") == "kg"), "")
+    try:
+        mass = float(values[name])
+        low, high = json.loads(values[f"{name}.ci95"])
+    except (KeyError, ValueError, TypeError):
+        return None
+    return Point(at_s, mass, float(low), float(high))

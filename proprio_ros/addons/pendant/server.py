@@ -1,0 +1,99 @@
+"""The pages behind the gate, on one port, until somebody ends it."""
+
+from __future__ import annotations
+
+import secrets
+import signal
+import socket
+from collections.abc import Callable
+from pathlib import Path
+
+import uvicorn
+from fastapi import FastAPI
+from fastapi.responses import PlainTextResponse
+from nicegui import app, ui
+
+from proprio_ros.addons.pendant.gate import Gate
+from proprio_ros.addons.pendant.lease import SILENCE_S
+from proprio_ros.addons.pendant.pages import PAGES
+from proprio_ros.addons.pendant.pendant import Pendant
+from proprio_ros.errors import ConfigurationError
+from proprio_ros.registry import loaded
+
+WATCH_S = 0.5
+LONGEST_MESSAGE = 2**20  # bytes, of a socket
+HERE = Path(__file__).parent
+
+
+def serve(pendant: Pendant, host: str, port: int, begin: Callable[[], object]) -> None:
+    """Show the pages until SIGINT or SIGTERM.
+
+    Args:
+        pendant: What they show.
+        host: Address to be found at.
+        port: 0: a free one.
+        begin: Called when the port is ours.
+
+    Raises:
+        ConfigurationError: The address cannot be taken.
+    """
+    door = _bound(host, port)
+    token = secrets.token_urlsafe(24)
+    begin()
+    pendant.open()
+    named = f"[{host}]" if ":" in host else host
+    pendant.tell(f"open http://{named}:{door.getsockname()[1]}/?token={token}")
+    pendant.tell("whoever has this address may move the arm; Ctrl-C ends the pendant")
+    config = uvicorn.Config(
+        Gate(_site(pendant), token),
+        http="h11",
+        ws_max_size=LONGEST_MESSAGE,
+        log_level="error",
+        access_log=False,
+        server_header=False,
+        timeout_graceful_shutdown=1,
+    )
+    # the server tells this process once more what has ended it
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    uvicorn.Server(config).run(sockets=[door])
+
+
+def _bound(host: str, port: int) -> socket.socket:
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    try:
+        return socket.create_server((host, port), family=family)
+    except OSError as error:
+        raise ConfigurationError(
+            f"{host} port {port}: {error.strerror or error}; choose another with --host and --port"
+        ) from error
+
+
+def _site(pendant: Pendant) -> FastAPI:
+    """The application: pages, and STOP as a request of its own that needs no page to be well."""
+    site = FastAPI(docs_url=None, redoc_url=None, openapi_url=None)
+
+    @site.post("/stop")
+    async def stop() -> PlainTextResponse:
+        return PlainTextResponse(pendant.stop())
+
+    for name in ("pendant.css", "pendant.js"):
+        app.add_static_file(local_file=HERE / name, url_path=f"/{name}")
+    ui.add_head_html(
+        '<link rel="stylesheet" href="/pendant.css"><script defer src="/pendant.js"></script>',
+        shared=True,
+    )
+    for page in PAGES:
+        loaded(page.place)(pendant)
+    app.timer(WATCH_S, pendant.watch)
+    app.on_shutdown(pendant.close)
+    app.config.socket_io_js_transports = ["websocket"]
+    ui.run_with(
+        site,
+        title="proprio",
+        dark=None,
+        tailwind=False,
+        language="en-US",
+        reconnect_timeout=SILENCE_S,
+        show_welcome_message=False,
+    )
+    return site
