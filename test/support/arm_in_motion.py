@@ -62,7 +62,14 @@ SIX = Build(
     axes=("0 0 1", "0 1 0", "0 1 0", "1 0 0", "0 1 0", "1 0 0"),
     origins=("0 0 0.1", "0 0.05 0.1", "0 0 0.35", "0.1 -0.05 0", "0.2 0 0", "0.08 0 0"),
     masses_kg=(3.0, 4.0, 2.5, 1.0, 0.8, 0.3),
-    coms_m=((0, 0, 0.05), (0, 0, 0.17), (0.05, 0, 0.02), (0.1, 0, 0), (0.04, 0, 0), (0.02, 0, 0)),
+    coms_m=(
+        (0, 0, 0.05),
+        (0, 0, 0.17),
+        (0.05, 0, 0.02),
+        (0.1, 0, 0),
+        (0.04, 0, 0),
+        (0.02, 0, 0),
+    ),
     sizes_m=(0.1, 0.2, 0.12, 0.1, 0.08, 0.05),
     grip="0.05 0 0",
     constants=(10.0, 10.0, 10.0, 5.0, 5.0, 5.0),
@@ -80,7 +87,12 @@ FOUR = Build(
     axes=("0 0 1", "0 1 0", "0 1 0", "0 1 0"),
     origins=("0.012 0 0.017", "0 0 0.06", "0.024 0 0.128", "0.124 0 0"),
     masses_kg=(0.1, 0.14, 0.13, 0.2),
-    coms_m=((0, 0, 0.047), (0.01, 0, 0.1), (0.09, 0, 0), (0.055, 0, 0.005)),
+    coms_m=(
+        (0, 0, 0.047),
+        (0.01, 0, 0.1),
+        (0.09, 0, 0),
+        (0.055, 0, 0.005),
+    ),
     sizes_m=(0.05, 0.1, 0.09, 0.06),
     grip="0.126 0 0",
     constants=(1.78, 1.78, 1.78, 1.78),
@@ -143,7 +155,8 @@ def urdf(
 def nominal(build: Build = SIX) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Masses [kg], centres [m] and inertias [kg m^2] of the robot file's arm."""
     masses = np.array(build.masses_kg)
-    inertias = (masses * np.array(build.sizes_m) ** 2 / 6.0)[:, None] * np.array([1.0, 1.1, 0.9])
+    of_a_cube = masses * np.array(build.sizes_m) ** 2 / 6.0
+    inertias = of_a_cube[:, None] * np.array([1.0, 1.1, 0.9])
     return masses, np.array(build.coms_m, dtype=float), inertias
 
 
@@ -154,7 +167,9 @@ def sines(times_s: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     speed = rng.uniform(1.0, 3.0, 6)
     phase = rng.uniform(0.0, 6.0, 6)
     angle = speed * times_s[:, None] + phase
-    return size * np.sin(angle), size * speed * np.cos(angle), -size * speed**2 * np.sin(angle)
+    position = size * np.sin(angle)
+    velocity = size * speed * np.cos(angle)
+    return position, velocity, -size * speed**2 * np.sin(angle)
 
 
 def inertia_matrix(
@@ -232,6 +247,44 @@ class Differs:
     speed: float = 1.0
 
 
+@dataclass(frozen=True)
+class Way:
+    """Four sines for each joint, shape (n, 4), about a middle (n,): what a controller is asked for."""
+
+    phase: np.ndarray
+    speed: np.ndarray
+    size: np.ndarray
+    middle: np.ndarray
+
+    @classmethod
+    def draw(cls, rng: np.random.Generator, build: Build) -> Way:
+        shape = (len(build.axes), 4)
+        phase = rng.uniform(0, 2 * np.pi, shape)
+        speed = rng.uniform(*build.speed, shape)
+        size = rng.uniform(*build.size, shape)
+        return cls(phase, speed, size, np.array(build.middle))
+
+    def of(self, own: Differs) -> Way:
+        """The same, about another middle and at another speed."""
+        return replace(
+            self,
+            speed=own.speed * self.speed,
+            middle=self.middle + own.elsewhere,
+        )
+
+    def at(self, times_s: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Positions, velocities and accelerations, (T, n) each."""
+        angle = self.speed * times_s[:, None, None] + self.phase
+        sine = np.sin(angle)
+        rates = self.size * self.speed * np.cos(angle)
+        bends = self.size * self.speed**2 * sine
+        return (
+            self.middle + (self.size * sine).sum(-1),
+            rates.sum(-1),
+            -bends.sum(-1),
+        )
+
+
 @dataclass
 class Twin:
     """One arm as it really is, drawn at random; `truths` keeps what its motions really were, by name.
@@ -262,14 +315,8 @@ class Twin:
         self.delay = int(rng.integers(0, 10))
         self.rng = rng
         own = np.random.default_rng([self.seed, 1])  # all else is the same with and without teeth
-        self.phase, self.number = (
-            own.uniform(
-                0.0,
-                2.0 * np.pi,
-                (3, count),
-            ),
-            own.integers(4, 13, count),
-        )
+        self.phase = own.uniform(0.0, 2.0 * np.pi, (3, count))
+        self.number = own.integers(4, 13, count)
 
     def wave(self, position: np.ndarray) -> np.ndarray:
         """How friction goes with the place, per unit of `place`; its rms over a turn is that of a sine, shape as ``position``."""
@@ -286,24 +333,18 @@ class Twin:
         rng: np.random.Generator,
     ) -> tuple[float, np.ndarray]:
         """Mass [kg] and centre in the hand [m] of something that such an arm may hold; each fourth arm holds nothing."""
-        mass = (
-            0.0
-            if self.seed % 4 == 0
-            else float(np.exp(rng.uniform(*np.log(self.build.payload_kg))))
-        )
-        return mass, np.array(
-            [self.build.held_m, 0.0, 0.0]
-        ) + self.build.held_m * rng.standard_normal(3)
+        mass = 0.0
+        if self.seed % 4 != 0:
+            mass = float(np.exp(rng.uniform(*np.log(self.build.payload_kg))))
+        middle = np.array([self.build.held_m, 0.0, 0.0])
+        return mass, middle + self.build.held_m * rng.standard_normal(3)
 
-    def record(
+    def _model(
         self,
-        name: str,
-        seconds: float,
-        payload: tuple[float, np.ndarray] | None = None,
-        moments: Sequence[float] | None = None,
-        differs: Differs | None = None,
-    ) -> Motion:
-        """A motion along random sines, with the payload in the hand, and what it has of its own; else it is friction to 5 %."""
+        payload: tuple[float, np.ndarray] | None,
+        moments: Sequence[float] | None,
+    ) -> Any:
+        """The arm with something in its hand, as `urdf` has it."""
         import mujoco
 
         spec = mujoco.MjSpec.from_string(
@@ -317,40 +358,58 @@ class Twin:
             mujoco.mjtDisableBit.mjDSBL_CONTACT | mujoco.mjtDisableBit.mjDSBL_LIMIT
         )
         model.dof_armature[:] = self.armature
+        return model
+
+    def _arrives(
+        self,
+        torque: np.ndarray,
+        position: np.ndarray,
+        velocity: np.ndarray,
+        viscous: np.ndarray,
+        friction: np.ndarray,
+    ) -> np.ndarray:
+        """What friction leaves of the motors' torques [N m].
+
+        Args:
+            torque: Of the motors [N m].
+            position: Of the joints [rad].
+            velocity: Of the joints [rad/s].
+            viscous: [N m s/rad].
+            friction: Dry friction over that of the arm.
+        """
+        transmitted = torque - viscous * velocity
+        coulomb = self.coulomb * friction * (1.0 + self.place * self.wave(position))
+        lost = coulomb + self.gears * np.abs(transmitted)
+        return transmitted - lost * np.tanh(velocity / 0.01)
+
+    def record(
+        self,
+        name: str,
+        seconds: float,
+        payload: tuple[float, np.ndarray] | None = None,
+        moments: Sequence[float] | None = None,
+        differs: Differs | None = None,
+    ) -> Motion:
+        """A motion along random sines, with the payload in the hand, and what it has of its own; else it is friction to 5 %."""
+        import mujoco
+
+        model = self._model(payload, moments)
         data = mujoco.MjData(model)
         rng = self.rng
         build = self.build
-        count = len(self.build.axes)
-        phase = rng.uniform(
-            0,
-            2 * np.pi,
-            (count, 4),
-        )
-        speed = rng.uniform(*build.speed, (count, 4))
-        size = rng.uniform(*build.size, (count, 4))
-        middle = np.array(build.middle)
+        count = len(build.axes)
+        steps = round((seconds + 1.0) / STEP_S)
+        way = Way.draw(rng, build)
         warm = 1.0 + 0.05 * rng.standard_normal(count)  # friction is not the same twice
         none = np.zeros(count)
         own = differs or Differs(none + 1.0, warm, none, none, none)
-        warm = own.friction
-        middle = middle + own.elsewhere
-        speed = own.speed * speed
-        viscous = self.viscous * (1.0 if differs is None else warm)
-
-        steps = round((seconds + 1.0) / STEP_S)
-        angle = speed * (np.arange(steps) * STEP_S)[:, None, None] + phase
-        sine = np.sin(angle)
-        wanted = (
-            middle + (size * sine).sum(-1),
-            (size * speed * np.cos(angle)).sum(-1),
-            -(size * speed**2 * sine).sum(-1),
-        )
+        viscous = self.viscous * (1.0 if differs is None else own.friction)
+        wanted = way.of(own).at(np.arange(steps) * STEP_S)
         qpos = data.qpos
         qvel = data.qvel
-        bias = data.qfrc_bias
-        applied = data.qfrc_applied
-        qpos[:], qvel[:] = wanted[0][0], wanted[1][0]
-        constants = np.array(build.constants)
+        qpos[:] = wanted[0][0]
+        qvel[:] = wanted[1][0]
+        per_A = np.array(build.constants) * self.torque
         queue = [np.zeros(count)] * (self.delay + 1)
         times = []
         positions = []
@@ -362,36 +421,23 @@ class Twin:
         for step, (q, qd, qdd) in enumerate(zip(*wanted, strict=True)):
             inertia_matrix(model, data, full)
             measured = qpos + 1e-4 * rng.standard_normal(count)
-            command = (
-                full @ (qdd + 225.0 * (q - measured) + 30.0 * (qd - qvel)) + bias + viscous * qd
-            )
-            queue.append(command)
+            pushed = qdd + 225.0 * (q - measured) + 30.0 * (qd - qvel)
+            queue.append(full @ pushed + data.qfrc_bias + viscous * qd)
             torque = queue.pop(0)
-            transmitted = torque - viscous * qvel
-            coulomb = self.coulomb * warm * (1.0 + self.place * self.wave(qpos))
-            direction = np.tanh(qvel / 0.01)
-            lost = (coulomb + self.gears * np.abs(transmitted)) * direction
-            applied[:] = transmitted - lost
-            sampled = step * STEP_S >= 1.0 and step % every == 0
-            if sampled:
-                true.append(
-                    [
-                        qpos.copy(),
-                        qvel.copy(),
-                        qvel,
-                        torque,
-                    ]
-                )
-                times.append(step * STEP_S + 2e-4 * rng.standard_normal())
-                positions.append(qpos - own.zero + 1e-4 * rng.standard_normal(count))
-                said = own.scale * (torque + own.offset) / (constants * self.torque)
-                currents.append(said + build.current_noise_A * rng.standard_normal(count))
+            data.qfrc_applied[:] = self._arrives(torque, qpos, qvel, viscous, own.friction)
+            if step * STEP_S < 1.0 or step % every != 0:
+                mujoco.mj_step(model, data)
+                continue
+            times.append(step * STEP_S + 2e-4 * rng.standard_normal())
+            positions.append(qpos - own.zero + 1e-4 * rng.standard_normal(count))
+            said = own.scale * (torque + own.offset) / per_A
+            currents.append(said + build.current_noise_A * rng.standard_normal(count))
+            begun = (qpos.copy(), qvel.copy())
             mujoco.mj_step(model, data)
-            if sampled:
-                true[-1][2] = data.qacc.copy()
+            true.append([*begun, data.qacc.copy(), torque])
         self.truths[name] = Truth(
             *np.swapaxes(true, 0, 1),
-            warm,
+            own.friction,
         )
         times_s = np.array(times)
         return Motion(

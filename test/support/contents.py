@@ -120,15 +120,16 @@ class _Particles:
     def _view(self, kind: str, count: int) -> None:
         def view(what: str) -> Array:
             at = getattr(library(), f"{kind}_{what}")(self.handle)
-            return np.ctypeslib.as_array((ctypes.c_double * (3 * count)).from_address(at)).reshape(
-                count, 3
-            )
+            numbers = (ctypes.c_double * (3 * count)).from_address(at)
+            return np.ctypeslib.as_array(numbers).reshape(count, 3)
 
-        self.x, self.v = view("places"), view("velocities")
+        self.x = view("places")
+        self.v = view("velocities")
 
     def moments(self) -> tuple[Array, Array]:
         second = self.x.T @ self.x
-        return self.x.mean(axis=0), self.kg / len(self.x) * (np.trace(second) * np.eye(3) - second)
+        inertia = np.trace(second) * np.eye(3) - second
+        return self.x.mean(axis=0), self.kg / len(self.x) * inertia
 
 
 class Liquid(_Particles):
@@ -175,11 +176,13 @@ class Liquid(_Particles):
             0.5 * cell,
             fill / tall,
         )
-        x = np.ascontiguousarray(x[np.hypot(x[:, 0], x[:, 1]) < cylinder.radius])
+        inside = np.hypot(x[:, 0], x[:, 1]) < cylinder.radius
+        x = np.ascontiguousarray(x[inside])
         # a tilted surface over water as dense as before, but for terms of second order
         slope = np.tan(tilt) / fill
         x[:, 2] *= 1.0 + slope * x[:, 0]
-        x[:, 0] += 0.5 * slope * (cylinder.radius**2 - x[:, 1] ** 2 - x[:, 0] ** 2)
+        from_the_wall = cylinder.radius**2 - x[:, 1] ** 2 - x[:, 0] ** 2
+        x[:, 0] += 0.5 * slope * from_the_wall
         self.kg = KG_M3 * np.pi * cylinder.radius**2 * fill
         each = self.kg / len(x)
         self.handle = library().liquid_new(
@@ -229,22 +232,13 @@ class Grains(_Particles):
         seed: int = 0,
     ) -> None:
         rng = np.random.default_rng(seed)
-        self.cylinder, self.diameter = cylinder, diameter
-        ball = 0.5 * diameter
-        count = round(0.58 * np.pi * cylinder.radius**2 * fill / (np.pi * diameter**3 / 6.0))
-        pitch = 1.02 * diameter
-        reach = cylinder.radius - ball
-        wide = int(reach / pitch)
-        flat = pitch * np.stack(
-            np.meshgrid(*[np.arange(-wide, wide + 1)] * 2, indexing="ij"), axis=-1
-        ).reshape(-1, 2)
-        flat = flat[np.hypot(flat[:, 0], flat[:, 1]) < reach]
-        layers = -(-count // len(flat))
-        x = np.concatenate(
-            [np.column_stack([flat, np.full(len(flat), ball + pitch * n)]) for n in range(layers)]
-        )[:count]
+        self.cylinder = cylinder
+        self.diameter = diameter
+        volume = np.pi * diameter**3 / 6.0
+        count = round(0.58 * np.pi * cylinder.radius**2 * fill / volume)
+        x = self._stacked(count)
         x[:, :2] += rng.uniform(-0.005, 0.005, (count, 2)) * diameter
-        each = density * np.pi * diameter**3 / 6.0
+        each = density * volume
         touch = np.array([each * 5e6, 0.2, friction, 0.02])  # a touch lasts some 1.4 ms
         self.kg = count * each
         self.handle = library().grains_new(
@@ -252,20 +246,38 @@ class Grains(_Particles):
             _at(np.ascontiguousarray(x)),
             cylinder.radius,
             2.0 * cylinder.height,
-            ball,
+            0.5 * diameter,
             each,
             _at(touch),
         )
         self._view("grains", count)
+        self._shaken_down()
+
+    def _stacked(self, count: int) -> Array:
+        """Places of spheres layer by layer on a square lattice [m], shape (count, 3)."""
+        ball = 0.5 * self.diameter
+        pitch = 1.02 * self.diameter
+        reach = self.cylinder.radius - ball
+        wide = int(reach / pitch)
+        steps = np.arange(-wide, wide + 1)
+        flat = pitch * np.stack(np.meshgrid(steps, steps, indexing="ij"), axis=-1).reshape(-1, 2)
+        flat = flat[np.hypot(flat[:, 0], flat[:, 1]) < reach]
+        layers = []
+        for n in range(-(-count // len(flat))):
+            height = np.full(len(flat), ball + pitch * n)
+            layers.append(np.column_stack([flat, height]))
+        return np.concatenate(layers)[:count]
+
+    def _shaken_down(self) -> None:
+        """Shaken for a while, then left alone until nothing moves."""
         none = np.zeros(3)
         down = np.array([0.0, 0.0, -GRAVITY])
-        for n in range(60):  # shaken down, then left alone
-            shake = (
-                3.0 * np.sin(2.0 * np.pi * 0.3 * n) * np.array([1.0, 0.6, 0.0]) if n < 30 else none
-            )
+        for n in range(30):
+            shake = 3.0 * np.sin(2.0 * np.pi * 0.3 * n) * np.array([1.0, 0.6, 0.0])
             self.step(down, shake, none, none, 0.01)
-            if n >= 30:
-                self.v *= 0.5
+        for _ in range(30):
+            self.step(down, none, none, none, 0.01)
+            self.v *= 0.5
         self.v[:] = 0.0
 
     def __del__(self) -> None:
@@ -295,7 +307,8 @@ class Grains(_Particles):
 def theory_hz(radius: float, fill: float) -> float:
     """First sloshing mode of a perfect liquid in an upright cylinder (Lamb, Hydrodynamics, 191)."""
     k = 1.8412 / radius
-    return float(np.sqrt(GRAVITY * k * np.tanh(k * fill)) / (2.0 * np.pi))
+    omega = np.sqrt(GRAVITY * k * np.tanh(k * fill))
+    return float(omega / (2.0 * np.pi))
 
 
 def shake_period_s(hz: float) -> float:

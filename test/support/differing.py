@@ -35,7 +35,9 @@ def differs(
 ) -> Differs:
     """What a recording of an arm has of its own."""
     count = len(arm.build.axes)
-    away = ELSEWHERE_RAD * rng.choice((-1.0, 1.0), count) if elsewhere else np.zeros(count)
+    away = np.zeros(count)
+    if elsewhere:
+        away = ELSEWHERE_RAD * rng.choice((-1.0, 1.0), count)
     return Differs(
         scale=1.0 + SCALE_COMMON * rng.standard_normal() + SCALE_OWN * rng.standard_normal(count),
         friction=np.clip(
@@ -73,9 +75,8 @@ class DifferingArm:
         build = self.twin.build
         rng = self.rng
         mass = float(np.exp(rng.uniform(*np.log(build.payload_kg))))
-        return mass, np.array([build.held_m, 0.0, 0.0]) + 0.5 * build.held_m * rng.standard_normal(
-            3
-        )
+        middle = np.array([build.held_m, 0.0, 0.0])
+        return mass, middle + 0.5 * build.held_m * rng.standard_normal(3)
 
     def recorded(
         self,
@@ -150,9 +151,51 @@ class Pendulum:
 
     def __init__(self, seed: int) -> None:
         rng = self.rng = np.random.default_rng([seed, 30])
-        self.armature = float(np.exp(rng.uniform(np.log(0.005), np.log(0.04))))
-        self.dry, self.viscous = rng.uniform(0.04, 0.2), rng.uniform(0.0, 0.03)
+        logarithm = rng.uniform(np.log(0.005), np.log(0.04))
+        self.armature = float(np.exp(logarithm))
+        self.dry = rng.uniform(0.04, 0.2)
+        self.viscous = rng.uniform(0.0, 0.03)
         self.lost = rng.uniform(0.0, 0.1)
+
+    def _swing(
+        self,
+        load_kg: float,
+        warm: float,
+        start_rad: float,
+    ) -> np.ndarray:
+        """Angles of a swing from rest at each step of the simulation [rad].
+
+        Args:
+            load_kg: At the end of the rod.
+            warm: Friction over that of the drive train.
+            start_rad: From which it swings.
+        """
+        import mujoco
+
+        mass = load_kg + ROD_KG
+        moment = (load_kg + 0.5 * ROD_KG) * ARM_M
+        about_axis = load_kg * (ARM_M**2 + SPREAD_M2) + ROD_KG * ARM_M**2 / 3.0
+        centre = moment / mass
+        text = _SWING.format(
+            step=STEP_S,
+            gravity=GRAVITY,
+            armature=self.armature,
+            viscous=warm * self.viscous,
+            dry=warm * self.dry,
+            mass=mass,
+            centre=-centre,
+            about=max(about_axis - mass * centre**2, 1e-7),
+        )
+        model = mujoco.MjModel.from_xml_string(text)
+        data = mujoco.MjData(model)
+        data.qpos[0] = start_rad
+        track = [start_rad]
+        for _ in range(round(LASTS_S / STEP_S)):
+            load = abs(moment * GRAVITY * np.sin(data.qpos[0]))
+            model.dof_frictionloss[0] = warm * (self.dry + self.lost * load)
+            mujoco.mj_step(model, data)
+            track.append(float(data.qpos[0]))
+        return np.array(track)
 
     def released(
         self,
@@ -161,45 +204,20 @@ class Pendulum:
         horn: bool = False,
     ) -> Run:
         """A swing, cut out as from a bag that says when torque went off."""
-        import mujoco
-
         rng = self.rng
-        mass = load_kg + ROD_KG
-        moment = (load_kg + 0.5 * ROD_KG) * ARM_M
-        about_axis = load_kg * (ARM_M**2 + SPREAD_M2) + ROD_KG * ARM_M**2 / 3.0
-        centre = moment / mass
         warm = float(np.clip(1.0 + FRICTION * rng.standard_normal(), 0.3, 2.0))
         zero = (
             rng.choice((-1.0, 1.0)) * rng.uniform(*HORN_RAD)
             if horn
             else ZERO_RAD * rng.standard_normal()
         )
-        text = _SWING.format(
-            step=STEP_S, gravity=GRAVITY, armature=self.armature, viscous=warm * self.viscous, dry=warm * self.dry,
-            mass=mass, centre=-centre, about=max(about_axis - mass * centre**2, 1e-7,),
-        )  # fmt: skip
-        model = mujoco.MjModel.from_xml_string(text)
-        data = mujoco.MjData(model)
-        data.qpos[0] = start = -rng.uniform(1.2, 1.6)
-        track = [start]
-        for _ in range(round(LASTS_S / STEP_S)):
-            model.dof_frictionloss[0] = warm * (
-                self.dry + self.lost * abs(moment * GRAVITY * np.sin(data.qpos[0]))
-            )
-            mujoco.mj_step(model, data)
-            track.append(float(data.qpos[0]))
-        path = np.array(track)
-        stamps_s = np.arange(0.0, LASTS_S, PERIOD_S) + 3e-4 * rng.standard_normal(
-            round(LASTS_S / PERIOD_S)
-        )
-        row = np.clip(
-            np.rint((stamps_s - RELEASED_S) / STEP_S).astype(int),
-            0,
-            len(path) - 1,
-        )
-        reading = COUNT_RAD * np.rint(
-            (path[row] - zero + 5e-4 * rng.standard_normal(len(row))) / COUNT_RAD
-        )
+        path = self._swing(load_kg, warm, -rng.uniform(1.2, 1.6))
+        jitter_s = 3e-4 * rng.standard_normal(round(LASTS_S / PERIOD_S))
+        stamps_s = np.arange(0.0, LASTS_S, PERIOD_S) + jitter_s
+        step = np.rint((stamps_s - RELEASED_S) / STEP_S).astype(int)
+        there = path[np.clip(step, 0, len(path) - 1)]
+        seen = there - zero + 5e-4 * rng.standard_normal(len(there))
+        reading = COUNT_RAD * np.rint(seen / COUNT_RAD)
         times_ns = 1_000_000_000 + np.rint(1e9 * stamps_s).astype(np.int64)
         off = (int(1_000_000_000 + 1e9 * RELEASED_S), int(times_ns[-1]) + 1)
         joints = JointRecord(times_ns, ("pendulum",), reading[:, None])

@@ -16,7 +16,7 @@ import numpy as np
 
 from proprio_ros.recordings.motions import Motion
 from proprio_ros.records import JointRecord, Recording
-from support.arm_in_motion import FOUR, Build, Twin, nominal, urdf, write_robot
+from support.arm_in_motion import FOUR, Build, Twin, Way, nominal, urdf, write_robot
 from support.recording_bag import write_recording
 
 STEP_S = 0.002
@@ -60,33 +60,56 @@ class Arm:
             spec.compiler.fusestatic = True
             spec.compiler.balanceinertia = True
             for joint in self.build.joints:
-                motor = spec.add_actuator()
-                motor.name, motor.target, motor.trntype = joint, joint, mujoco.mjtTrn.mjTRN_JOINT
-                motor.gainprm[0], motor.biasprm[1], motor.biasprm[2] = 150.0, -150.0, -3.0
-                motor.biastype = mujoco.mjtBias.mjBIAS_AFFINE
-                felt = spec.add_sensor()
-                felt.name, felt.type, felt.objname = (
-                    f"{joint}_torque",
-                    mujoco.mjtSensor.mjSENS_JOINTACTFRC,
-                    joint,
-                )
-                felt.objtype = mujoco.mjtObj.mjOBJ_JOINT
+                _add_servo(spec, joint)
             model = spec.compile()
             model.opt.timestep = STEP_S
             model.opt.integrator = mujoco.mjtIntegrator.mjINT_EULER
             model.opt.disableflags |= (
                 mujoco.mjtDisableBit.mjDSBL_CONTACT | mujoco.mjtDisableBit.mjDSBL_LIMIT
             )
-            model.dof_armature[:], model.dof_damping[:] = twin.armature, twin.viscous
+            model.dof_armature[:] = twin.armature
+            model.dof_damping[:] = twin.viscous
             # as it comes, MuJoCo's dry friction is soft: a stuck joint creeps, the more the heavier it is
-            model.dof_solref[:], model.dof_solimp[:] = (
-                (0.004, 1.0),
-                (0.9999, 0.9999, 0.001, 0.5, 2.0),
-            )
+            model.dof_solref[:] = (0.004, 1.0)
+            model.dof_solimp[:] = (0.9999, 0.9999, 0.001, 0.5, 2.0)
             if len(self._models) > 64:
                 self._models.clear()
             self._models[mass_kg] = model
         return self._models[mass_kg]
+
+    def _moved(
+        self,
+        sent: np.ndarray,
+        coulomb: np.ndarray,
+        stretches: Sequence[tuple[float, float]],
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Positions [rad] and the motors' torques [N m] at each step's begin, (S, n) each.
+
+        Args:
+            sent: Goals of each step [rad], (S, n).
+            coulomb: Dry friction [N m], (n,).
+            stretches: Mass in the hand [kg] and end [s] of each; the first second comes before all.
+        """
+        import mujoco
+        from mujoco import rollout
+
+        count = sent.shape[1]
+        joints = slice(1, 1 + count)
+        state = np.concatenate([[0.0], sent[0], np.zeros(count)])
+        positions = []
+        torques = []
+        begin = 0
+        for mass, end_s in stretches:
+            model = self._model(mass)
+            model.dof_frictionloss[:] = coulomb
+            end = round((1.0 + end_s) / STEP_S)
+            data = mujoco.MjData(model)
+            found, felt = rollout.rollout(model, data, state[None], sent[None, begin:end])
+            positions += [state[None, joints], found[0, :-1, joints]]
+            torques.append(felt[0])  # of the state that each step begins with
+            state = found[0, -1]
+            begin = end
+        return np.vstack(positions), np.vstack(torques)
 
     def record(
         self,
@@ -103,49 +126,22 @@ class Arm:
             mass_kg: In the hand at first.
             changes: When [s] the hand holds how much [kg] from then on.
         """
-        import mujoco
-        from mujoco import rollout
-
         build = self.build
         twin = self.twin
         rng = np.random.default_rng([self.seed, seed])
-        count = len(build.joints)
-        every = round(1.0 / RATE_HZ / STEP_S)
-        phase = rng.uniform(
-            0,
-            2 * np.pi,
-            (count, 4),
-        )
-        speed = rng.uniform(*build.speed, (count, 4))
-        size = rng.uniform(*build.size, (count, 4))
-        middle = np.array(build.middle)
-        coulomb = twin.coulomb * self.drift * (1.0 + 0.05 * rng.standard_normal(count))
+        way = Way.draw(rng, build)
+        warm = 1.0 + 0.05 * rng.standard_normal(len(build.joints))
         steps = round((seconds + 1.0) / STEP_S)
-        times = STEP_S * np.arange(steps)
-        sent = middle + sum(
-            size[:, n] * np.sin(speed[:, n] * times[:, None] + phase[:, n]) for n in range(4)
+        sent = _goals(way, STEP_S * np.arange(steps))
+        position, torque = self._moved(
+            sent,
+            twin.coulomb * self.drift * warm,
+            _stretches(mass_kg, changes, seconds),
         )
-        state = np.concatenate([[0.0], sent[0], np.zeros(count)])
-        positions = []
-        torques = []
-        begin = 0
-        for at_s, mass, end_s in _stretches(mass_kg, changes, seconds):
-            del at_s
-            model = self._model(mass)
-            model.dof_frictionloss[:] = coulomb
-            end = round((1.0 + end_s) / STEP_S)
-            found, felt = rollout.rollout(
-                model, mujoco.MjData(model), state[None], sent[None, begin:end]
-            )
-            positions.append(
-                np.concatenate([state[None, 1 : 1 + count], found[0, :-1, 1 : 1 + count]])
-            )
-            torques.append(felt[0])  # of the state that each step begins with
-            state = found[0, -1]
-            begin = end
-        first = round(1.0 / STEP_S)
-        position = np.vstack(positions)[first::every]
-        torque = np.vstack(torques)[first::every]
+        every = round(1.0 / RATE_HZ / STEP_S)
+        sampled = slice(round(1.0 / STEP_S), None, every)
+        position = position[sampled]
+        torque = torque[sampled]
         position = position + 1e-4 * rng.standard_normal(position.shape)
         current = torque / (np.array(build.constants) * twin.torque)
         current = current + build.current_noise_A * rng.standard_normal(current.shape)
@@ -165,11 +161,39 @@ def _stretches(
     mass_kg: float,
     changes: Sequence[tuple[float, float]],
     seconds: float,
-) -> list[tuple[float, float, float]]:
-    """Begin, mass in the hand and end of each stretch [s, kg, s]."""
-    begins = [(0.0, mass_kg), *changes]
-    ends = [at for at, _ in changes] + [seconds]
-    return [(at, mass, end) for (at, mass), end in zip(begins, ends, strict=True)]
+) -> list[tuple[float, float]]:
+    """Mass in the hand [kg] and end [s] of each stretch."""
+    masses = [mass_kg, *(mass for _, mass in changes)]
+    ends = [*(at for at, _ in changes), seconds]
+    return list(zip(masses, ends, strict=True))
+
+
+def _goals(way: Way, times_s: np.ndarray) -> np.ndarray:
+    """Goals of the servos, (S, n); added up sine by sine, as rows of earlier days were."""
+    goals = sum(
+        way.size[:, n] * np.sin(way.speed[:, n] * times_s[:, None] + way.phase[:, n])
+        for n in range(way.size.shape[1])
+    )
+    return way.middle + goals
+
+
+def _add_servo(spec: Any, joint: str) -> None:
+    """A position servo, and a sensor of its torque."""
+    import mujoco
+
+    motor = spec.add_actuator()
+    motor.name = joint
+    motor.target = joint
+    motor.trntype = mujoco.mjtTrn.mjTRN_JOINT
+    motor.gainprm[0] = 150.0
+    motor.biasprm[1] = -150.0
+    motor.biasprm[2] = -3.0
+    motor.biastype = mujoco.mjtBias.mjBIAS_AFFINE
+    felt = spec.add_sensor()
+    felt.name = f"{joint}_torque"
+    felt.type = mujoco.mjtSensor.mjSENS_JOINTACTFRC
+    felt.objname = joint
+    felt.objtype = mujoco.mjtObj.mjOBJ_JOINT
 
 
 def write_bag(

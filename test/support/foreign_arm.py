@@ -95,8 +95,11 @@ class ForeignArm:
     ) -> None:
         import mujoco
 
-        self.mujoco, self.goals, self.busy = mujoco, goals, busy or Busy.draw(seed)
-        self._random, truth = np.random.default_rng([seed, 2]), np.random.default_rng([seed, 3])
+        self.mujoco = mujoco
+        self.goals = goals
+        self.busy = busy or Busy.draw(seed)
+        self._random = np.random.default_rng([seed, 2])
+        truth = np.random.default_rng([seed, 3])
         self.model = mujoco.MjModel.from_xml_string(self._xml(truth))
         self.data = mujoco.MjData(self.model)
         self.data.qpos[:] = [START[name] for name in JOINTS]
@@ -154,10 +157,9 @@ class ForeignArm:
             return
         wanted = np.zeros(len(JOINTS))
         wanted[self._columns] = values
-        self._last_s = max(
-            self._last_s,
-            now_s + self.busy.delay_s + self.busy.jitter_s * self._random.uniform(-0.5, 0.5),
-        )
+        jitter_s = self.busy.jitter_s * self._random.uniform(-0.5, 0.5)
+        arrives_s = now_s + self.busy.delay_s + jitter_s
+        self._last_s = max(self._last_s, arrives_s)
         self._coming.append((self._last_s, wanted))
 
     def stalled(self, now_s: float, thread: str) -> float:
@@ -194,7 +196,8 @@ class ForeignArm:
                     STIFFNESS_PER_RAD * (self._wanted - self.data.qpos)
                     - DAMPING_S_PER_RAD * self.data.qvel
                 )
-            self.data.qfrc_applied[:] = self.scale * np.minimum(np.maximum(torque, -limits), limits)
+            possible = np.minimum(np.maximum(torque, -limits), limits)
+            self.data.qfrc_applied[:] = self.scale * possible
             self.mujoco.mj_step(self.model, self.data)
 
     def positions(self) -> list[float]:

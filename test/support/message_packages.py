@@ -13,6 +13,7 @@ import sys
 import sysconfig
 import xml.etree.ElementTree as ElementTree
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
@@ -59,11 +60,10 @@ def build(
         (pytest.fail if os.environ.get("CI") else pytest.skip)(
             f"message packages cannot be built: {missing}"
         )
-    site = prefix / "site-packages"
-    environment = {
-        **os.environ,
-        "PYTHONPATH": os.pathsep.join(filter(None, (str(site), os.environ.get("PYTHONPATH")))),
-    }
+    paths = [str(prefix / "site-packages")]
+    if os.environ.get("PYTHONPATH"):
+        paths.append(os.environ["PYTHONPATH"])
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(paths)}
     command = [
         sys.executable,
         str(Path(__file__).resolve()),
@@ -96,12 +96,69 @@ def _missing() -> str:
     return ""
 
 
-def _build(package: Path, prefix: Path) -> None:
-    """Generate, compile and link."""
-    import numpy
-    from rosidl_adapter.action import convert_action_to_idl
-    from rosidl_adapter.msg import convert_msg_to_idl
-    from rosidl_adapter.srv import convert_srv_to_idl
+@dataclass(frozen=True)
+class _Package:
+    """A package of messages, and where what is made of it goes."""
+
+    folder: Path
+    prefix: Path
+    name: str
+    needs: tuple[str, ...]
+
+    @classmethod
+    def of(cls, folder: Path, prefix: Path) -> _Package:
+        manifest = ElementTree.parse(folder / "package.xml").getroot()
+        stated = [
+            element.text or ""
+            for tag in ("depend", "build_depend", "exec_depend")
+            for element in manifest.iter(tag)
+        ]
+        needs = [
+            each
+            for each in dict.fromkeys((*stated, *ALWAYS))
+            if (ROS / "include" / each / each / "msg").is_dir()
+        ]
+        return cls(folder, prefix, str(manifest.findtext("name")), tuple(needs))
+
+    @property
+    def libraries(self) -> Path:
+        return self.prefix / "lib"
+
+    @property
+    def module(self) -> Path:
+        return self.prefix / "site-packages" / self.name
+
+    @property
+    def generated(self) -> dict[str, Path]:
+        """What each part writes includes what those before it wrote, as <package>/msg/..."""
+        return {part: self.prefix / "generated" / part / self.name for part in PARTS}
+
+    def converted(self) -> list[str]:
+        """Messages, services and actions as IDL."""
+        from rosidl_adapter.action import convert_action_to_idl
+        from rosidl_adapter.msg import convert_msg_to_idl
+        from rosidl_adapter.srv import convert_srv_to_idl
+
+        converters = {
+            "msg": convert_msg_to_idl,
+            "srv": convert_srv_to_idl,
+            "action": convert_action_to_idl,
+        }
+        idl = []
+        for kind, convert in converters.items():
+            for path in sorted((self.folder / kind).glob(f"*.{kind}")):
+                convert(
+                    self.folder,
+                    self.name,
+                    path.relative_to(self.folder),
+                    self.prefix / "idl" / kind,
+                )
+                idl.append(f"{self.prefix / 'idl'}:{kind}/{path.stem}.idl")
+        return idl
+
+
+def _generate(package: _Package) -> None:
+    """Sources in C, C++ and Python."""
     from rosidl_generator_c.cli import GenerateC
     from rosidl_generator_py.cli import GeneratePython
     from rosidl_generator_type_description.cli import HashTypeDescription
@@ -109,81 +166,49 @@ def _build(package: Path, prefix: Path) -> None:
     from rosidl_typesupport_fastrtps_c.cli import GenerateFastRTPSCTypesupport
     from rosidl_typesupport_introspection_c.cli import GenerateIntrospectionCTypesupport
 
-    manifest = ElementTree.parse(package / "package.xml").getroot()
-    name = str(manifest.findtext("name"))
-    stated = [
-        element.text or ""
-        for tag in ("depend", "build_depend", "exec_depend")
-        for element in manifest.iter(tag)
-    ]
-    needs = [
-        each
-        for each in dict.fromkeys((*stated, *ALWAYS))
-        if (ROS / "include" / each / each / "msg").is_dir()
-    ]
-    shares = [str(ROS / "share" / each) for each in needs]
-    libraries = prefix / "lib"
-    module = prefix / "site-packages" / name
-    libraries.mkdir(parents=True)
-    module.mkdir(parents=True)
-    (module / "__init__.py").touch()
-    converters = {
-        "msg": convert_msg_to_idl,
-        "srv": convert_srv_to_idl,
-        "action": convert_action_to_idl,
-    }
-    idl = []
-    for kind, convert in converters.items():
-        for path in sorted((package / kind).glob(f"*.{kind}")):
-            convert(
-                package,
-                name,
-                path.relative_to(package),
-                prefix / "idl" / kind,
-            )
-            idl.append(f"{prefix / 'idl'}:{kind}/{path.stem}.idl")
-    hashes = HashTypeDescription("hash").generate_type_hashes(
-        name,
-        idl,
-        shares,
-        prefix / "idl",
+    given = (
+        package.name,
+        package.converted(),
+        [str(ROS / "share" / each) for each in package.needs],
     )
-    # what each writes includes what those before it wrote, as <package>/msg/...
-    folders = {part: prefix / "generated" / part / name for part in PARTS}
-    GenerateC("c").generate(
-        name,
-        idl,
-        shares,
-        folders[PARTS[0]],
-        type_description_files=hashes,
-    )
-    GenerateFastRTPSCTypesupport("fastrtps_c").generate(
-        name,
-        idl,
-        shares,
-        folders[PARTS[1]],
-    )
-    GenerateIntrospectionCTypesupport("introspection_c").generate(
-        name, idl, shares, folders[PARTS[2]]
-    )
-    GenerateCTypesupport("c", typesupport_implementations=list(PARTS[1:3])).generate(
-        name, idl, shares, folders[PARTS[3]]
-    )
-    GeneratePython("py", typesupport_implementations=list(PARTS[3:])).generate(
-        name, idl, shares, module
-    )
-    # the wheels put their headers into include/<package>/<package>
-    headers = [
-        ROS / "include",
-        *(path for path in (ROS / "include").iterdir() if (path / path.name).is_dir()),
-    ]
-    headers += [folder.parent for folder in (*folders.values(), module)]
-    headers += [
+    hashes = HashTypeDescription("hash").generate_type_hashes(*given, package.prefix / "idl")
+    messages, fastrtps, introspection, support = package.generated.values()
+    GenerateC("c").generate(*given, messages, type_description_files=hashes)
+    GenerateFastRTPSCTypesupport("fastrtps_c").generate(*given, fastrtps)
+    GenerateIntrospectionCTypesupport("introspection_c").generate(*given, introspection)
+    of_c = GenerateCTypesupport("c", typesupport_implementations=list(PARTS[1:3]))
+    of_c.generate(*given, support)
+    of_python = GeneratePython("py", typesupport_implementations=list(PARTS[3:]))
+    of_python.generate(*given, package.module)
+
+
+def _headers(package: _Package) -> list[Path]:
+    """Folders of headers; the wheels put theirs into include/<package>/<package>."""
+    import numpy
+
+    ros = ROS / "include"
+    own = (*package.generated.values(), package.module)
+    return [
+        ros,
+        *(path for path in ros.iterdir() if (path / path.name).is_dir()),
+        *(folder.parent for folder in own),
         Path(sysconfig.get_paths()["include"]),
         Path(numpy.get_include()),
     ]
-    flags = ["-fPIC", "-w", *(f"-I{folder}" for folder in headers)]
-    others = [f"-l{each}__{part}" for each in needs for part in (*PARTS, "rosidl_generator_py")]
+
+
+def _build(folder: Path, prefix: Path) -> None:
+    """Generate, compile and link."""
+    package = _Package.of(folder, prefix)
+    libraries = package.libraries
+    module = package.module
+    libraries.mkdir(parents=True)
+    module.mkdir(parents=True)
+    (module / "__init__.py").touch()
+    _generate(package)
+    flags = ["-fPIC", "-w", *(f"-I{folder}" for folder in _headers(package))]
+    parts = (*PARTS, "rosidl_generator_py")
+    others = [f"-l{each}__{part}" for each in package.needs for part in parts]
     others += [f"-l{part}" for part in (*PARTS[1:], "rosidl_runtime_c", "rcutils", "fastcdr")]
     paths = [
         f"{option}{folder}"
@@ -197,19 +222,16 @@ def _build(package: Path, prefix: Path) -> None:
         return f"{source}.o"
 
     def link(folder: Path, target: Path) -> None:
+        sources = sorted(path for path in folder.rglob("*.c*") if path.suffix in (".c", ".cpp"))
         with ThreadPoolExecutor(max_workers=os.cpu_count()) as pool:
-            objects = list(
-                pool.map(
-                    compiled,
-                    sorted(path for path in folder.rglob("*.c*") if path.suffix in (".c", ".cpp")),
-                )
-            )
+            objects = list(pool.map(compiled, sources))
         mine = [f"-l:{path.name}" for path in libraries.iterdir()]
         # rosidl_typesupport_c looks for the others by name: they must be loaded, whether they are called directly or not
         options = ["-Wl,--no-as-needed", f"-Wl,-soname,{target.name}", *paths]
         _call(["g++", "-shared", *objects, *options, *mine, *others, "-o", str(target)])
 
-    for part, folder in folders.items():
+    name = package.name
+    for part, folder in package.generated.items():
         link(folder, libraries / f"lib{name}__{part}.so")
     link(module, module / f"{name}_s__{PARTS[3]}{sysconfig.get_config_var('EXT_SUFFIX')}")
 

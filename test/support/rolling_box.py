@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -99,10 +100,12 @@ class Case:
 def draw(seed: int) -> list[Case]:
     """Half of them are lowered with a constant current, half shaken five times a second about what holds the hand."""
     rng = np.random.default_rng(seed)
-    holding = -9.81 * (ARM_KG * ARM_AT_M + (SHELL_KG + FIRST_GUESS_KG) * REACH_M) / TORQUE_CONSTANT
+    at_the_hand = (SHELL_KG + FIRST_GUESS_KG) * REACH_M
+    holding = -9.81 * (ARM_KG * ARM_AT_M + at_the_hand) / TORQUE_CONSTANT
+    lightest, heaviest = np.log([0.005, 0.06])
     cases = []
     for row in range(CASES):
-        mass = float(np.exp(rng.uniform(np.log(0.005), np.log(0.06))))
+        mass = float(np.exp(rng.uniform(lightest, heaviest)))
         friction = float(rng.uniform(0.2, 0.5))
         hardness = float(rng.uniform(0.0015, 0.003))
         if row % 2 == 0:
@@ -146,40 +149,100 @@ def recorded(
     """
     import mujoco
 
+    model = mujoco.MjModel.from_xml_string(_scene(case))
+    data = mujoco.MjData(model)
+    _settle(model, data, case)
+    sample = round(1e4 / RATE_HZ)
+    starts = np.round(1e4 * case.times_s).astype(int)
+    shown = []
+    rolled = []
+    for step in range(round(1e4 * duration_s)):
+        piece = np.searchsorted(starts, step, side="right") - 1
+        data.qfrc_applied[0] = TORQUE_CONSTANT * case.current_A[piece]
+        mujoco.mj_step(model, data)
+        if (step + 1) % sample == 0:
+            shown.append(data.qpos[0])
+            rolled.append(_in_the_container(data.qpos))
+    rng = np.random.default_rng([seed, int(case.name.strip("tilshake"))])
+    angle = np.concatenate([np.full(20, case.start_rad), shown])
+    noisy = angle + NOISE_RAD * rng.normal(size=len(angle))
+    reading = COUNT_RAD * np.round(noisy / COUNT_RAD)
+    run = Run(
+        name=case.name,
+        joint="wrist",
+        onset_ns=0,
+        times_s=np.arange(1, len(shown) + 1) / RATE_HZ,
+        position=reading[20:],
+        before_times_s=np.arange(-20, 0) / RATE_HZ,
+        before_position=reading[:20],
+        held={},
+        held_span={},
+        input_times_s=case.times_s,
+        input_current_A=case.current_A,
+        duration_s=duration_s,
+        source="command",
+    )
+    return run, np.array(rolled)
+
+
+def _text(values: np.ndarray) -> str:
+    return " ".join(map(str, values))
+
+
+def _walls() -> str:
+    """Six boxes around the sphere's room."""
     side = INNER / 2.0
     thick = 0.05
-    walls = "".join(
-        f'<geom type="box" mass="0" contype="1" conaffinity="0" size="{" ".join(map(str, size))}" pos="{" ".join(map(str, pos))}"/>'
-        for axis in range(3)
-        for way in (-1.0, 1.0)
-        for size, pos in [
-            (
-                np.where(np.arange(3) == axis, thick / 2.0, side + thick),
-                np.where(np.arange(3) == axis, way * (side + thick / 2.0), 0.0)
-                + REACH_M * np.eye(3)[0],
+    found = ""
+    for axis in range(3):
+        along = np.arange(3) == axis
+        size = np.where(along, thick / 2.0, side + thick)
+        for way in (-1.0, 1.0):
+            away = np.where(along, way * (side + thick / 2.0), 0.0)
+            place = away + REACH_M * np.eye(3)[0]
+            found += (
+                '<geom type="box" mass="0" contype="1" conaffinity="0"'
+                f' size="{_text(size)}" pos="{_text(place)}"/>'
             )
-        ]
-    )
+    return found
+
+
+def _scene(case: Case) -> str:
+    """The arm, its box and the sphere."""
     # a thin shell: each pair of walls at its place, spread over its area
     areas = np.prod(INNER) / INNER
-    spread = SHELL_KG * INNER**2 * (areas / 4.0 + (areas.sum() - areas) / 12.0) / areas.sum()
-    about = " ".join(str(spread.sum() - own) for own in spread)
+    others = areas.sum() - areas
+    spread = SHELL_KG * INNER**2 * (areas / 4.0 + others / 12.0) / areas.sum()
+    about = _text(spread.sum() - spread)
     spin = 0.4 * case.mass_kg * RADIUS**2
-    model = mujoco.MjModel.from_xml_string(f"""<mujoco>
+    return f"""<mujoco>
       <option timestep="1e-4" integrator="implicitfast" gravity="0 0 -9.81" cone="elliptic"/>
       <default><geom condim="3" friction="{case.friction} 0 0" solref="{case.hardness_s} 1"/></default>
       <worldbody>
         <body name="arm">
           <joint name="wrist" type="hinge" axis="0 1 0" armature="{ARMATURE}" damping="{VISCOUS}"/>
           <inertial pos="{ARM_AT_M} 0 0" mass="{ARM_KG}" diaginertia="{ARM_INERTIA} {ARM_INERTIA} {ARM_INERTIA}"/>
-          <body><inertial pos="{REACH_M} 0 0" mass="{SHELL_KG}" diaginertia="{about}"/>{walls}</body>
+          <body><inertial pos="{REACH_M} 0 0" mass="{SHELL_KG}" diaginertia="{about}"/>{_walls()}</body>
         </body>
         <body name="ball"><freejoint/><inertial pos="0 0 0" mass="{case.mass_kg}" diaginertia="{spin} {spin} {spin}"/>
           <geom type="sphere" size="{RADIUS}" mass="0" contype="0" conaffinity="1"/></body>
-      </worldbody></mujoco>""")
-    data = mujoco.MjData(model)
-    room = side - RADIUS
-    inside = np.array([REACH_M - room[0] + 1e-4, 0.0, -room[2] + 1e-4])
+      </worldbody></mujoco>"""
+
+
+def _in_the_container(qpos: np.ndarray) -> tuple[float, float, float]:
+    """Where the sphere's centre is [m]."""
+    cos = np.cos(qpos[0])
+    sin = np.sin(qpos[0])
+    x, y, z = qpos[1:4]
+    return cos * x - sin * z - REACH_M, y, sin * x + cos * z
+
+
+def _settle(model: Any, data: Any, case: Case) -> None:
+    """The sphere comes to rest while the joint is held."""
+    import mujoco
+
+    room = INNER / 2.0 - RADIUS
+    inside = (REACH_M - room[0] + 1e-4, 0.0, -room[2] + 1e-4)
     cos = np.cos(case.start_rad)
     sin = np.sin(case.start_rad)
     data.qpos[0] = case.start_rad
@@ -198,46 +261,9 @@ def recorded(
         mujoco.mj_step(model, data)
     model.dof_armature[0] = ARMATURE
     model.geom_solref[:, 1] = case.damping_ratio
-    data.qpos[0], data.qvel[0] = case.start_rad, 0.0
+    data.qpos[0] = case.start_rad
+    data.qvel[0] = 0.0
     assert np.abs(data.qvel[1:4]).max() < 1e-3, data.qvel
-    sample = round(1e4 / RATE_HZ)
-    end = round(1e4 * duration_s)
-    starts = np.round(1e4 * case.times_s).astype(int)
-    shown = []
-    rolled = []
-    for step in range(end):
-        data.qfrc_applied[0] = (
-            TORQUE_CONSTANT * case.current_A[np.searchsorted(starts, step, side="right") - 1]
-        )
-        mujoco.mj_step(model, data)
-        if (step + 1) % sample == 0:
-            shown.append(data.qpos[0])
-            cos = np.cos(data.qpos[0])
-            sin = np.sin(data.qpos[0])
-            x, y, z = data.qpos[1:4]
-            rolled.append((cos * x - sin * z - REACH_M, y, sin * x + cos * z))
-    rng = np.random.default_rng([seed, int(case.name.strip("tilshake"))])
-    before = np.arange(-20, 0) / RATE_HZ
-    reading = np.concatenate([np.full(20, case.start_rad), shown])
-    reading = COUNT_RAD * np.round(
-        (reading + NOISE_RAD * rng.normal(size=len(reading))) / COUNT_RAD
-    )
-    run = Run(
-        name=case.name,
-        joint="wrist",
-        onset_ns=0,
-        times_s=np.arange(1, len(shown) + 1) / RATE_HZ,
-        position=reading[20:],
-        before_times_s=before,
-        before_position=reading[:20],
-        held={},
-        held_span={},
-        input_times_s=case.times_s,
-        input_current_A=case.current_A,
-        duration_s=duration_s,
-        source="command",
-    )
-    return run, np.array(rolled)
 
 
 def known_robot(folder: Path) -> Robot:

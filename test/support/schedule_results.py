@@ -37,19 +37,32 @@ def tables(counted: list[dict[str, Any]]) -> dict[str, Any]:
         sums[key] = Counter()
         for each in counted:
             sums[key].update(each[key])
-    plans = [
-        {"plan": words, "schedules": sums["plans"][plan], "cpu": sums["cpu_s"][plan] / sums["plans"][plan],
-         "simulated": sums["simulated_s"][plan] / sums["plans"][plan]}
-        for plan, words in PLANS.items()
-    ]  # fmt: skip
-    whole = {"plan": "all", "schedules": sums["plans"].total()}
+    plans = []
+    for plan, words in PLANS.items():
+        count = sums["plans"][plan]
+        plans.append(
+            {
+                "plan": words,
+                "schedules": count,
+                "cpu": sums["cpu_s"][plan] / count,
+                "simulated": sums["simulated_s"][plan] / count,
+            }
+        )
+    count = sums["plans"].total()
     plans.append(
-        whole
-        | {key: sums[f"{key}_s"].total() / sums["plans"].total() for key in ("cpu", "simulated")}
+        {
+            "plan": "all",
+            "schedules": count,
+            "cpu": sums["cpu_s"].total() / count,
+            "simulated": sums["simulated_s"].total() / count,
+        }
     )
-    said = {"plan": "what is asked for", "schedules": "schedules"}
-    columns = {said["plan"]: "{plan}", said["schedules"]: "{schedules}", "processor time of one": "{cpu:.2f} s",
-               "simulated time of one": "{simulated:.1f} s"}  # fmt: skip
+    columns = {
+        "what is asked for": "{plan}",
+        "schedules": "{schedules}",
+        "processor time of one": "{cpu:.2f} s",
+        "simulated time of one": "{simulated:.1f} s",
+    }
     kinds = [{"kind": words, "faults": sums["faults"][kind]} for kind, words in KINDS.items()]
     failed = sum(len(each["failed"]) for each in counted)
     kinds.append({"kind": "schedules after which something was not true", "faults": failed})
@@ -64,16 +77,18 @@ def tables(counted: list[dict[str, Any]]) -> dict[str, Any]:
 
 def known(results: dict[str, Any]) -> dict[str, Any]:
     """What a file of results counts, as `schedules.py` would have it; of those that failed, how many."""
-    plans, kinds = ({words: key for key, words in names.items()} for names in (PLANS, KINDS))
-    rows = [row for row in results["tables"]["plans"]["rows"] if row["plan"] in plans]
+    by_plan = {row["plan"]: row for row in results["tables"]["plans"]["rows"]}
+    rows = {plan: by_plan[words] for plan, words in PLANS.items() if words in by_plan}
     faults = results["tables"]["kinds"]["rows"]
+    by_kind = {row["kind"]: row["faults"] for row in faults}
     return {
-        "plans": {plans[row["plan"]]: row["schedules"] for row in rows},
-        "faults": {kinds[row["kind"]]: row["faults"] for row in faults if row["kind"] in kinds},
-        "failed": [0] * faults[-1]["faults"], "commit": results["commit"],
-        "cpu_s": {plans[row["plan"]]: row["cpu"] * row["schedules"] for row in rows},
-        "simulated_s": {plans[row["plan"]]: row["simulated"] * row["schedules"] for row in rows},
-    }  # fmt: skip
+        "plans": {plan: row["schedules"] for plan, row in rows.items()},
+        "faults": {kind: by_kind[words] for kind, words in KINDS.items() if words in by_kind},
+        "failed": [0] * faults[-1]["faults"],
+        "commit": results["commit"],
+        "cpu_s": {plan: row["cpu"] * row["schedules"] for plan, row in rows.items()},
+        "simulated_s": {plan: row["simulated"] * row["schedules"] for plan, row in rows.items()},
+    }
 
 
 def main(file: Path, rows: list[str]) -> None:

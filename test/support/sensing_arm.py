@@ -100,7 +100,9 @@ class SensingArm:
         torques = []
         for load in (None, (1.0, np.zeros(3))):
             self._hold(load)
-            self.data.qpos[:], self.data.qvel[:], self.data.qacc[:] = pose, 0.0, 0.0
+            self.data.qpos[:] = pose
+            self.data.qvel[:] = 0.0
+            self.data.qacc[:] = 0.0
             mujoco.mj_inverse(self.model, self.data)
             torques.append(self.data.qfrc_inverse.copy())
         return torques[1] - torques[0]
@@ -111,23 +113,26 @@ class SensingArm:
         parts = []
         samples = round(seconds * self.rate_Hz)
         while sum(part.shape[1] for part in parts) < samples:
-            goal = (
-                self.middle
-                + elsewhere
-                + rng.uniform(-self.reached_rad, self.reached_rad, self.joints)
-            )
-            takes_s = rng.uniform(0.8, 1.2) + 0.6 * np.abs(goal - self.at).max()
-            rest_s = rng.uniform(0.05, 0.5)
-            s = (np.arange(round((takes_s + rest_s) * self.rate_Hz)) / self.rate_Hz / takes_s)[
-                :, None
-            ]
-            s = np.minimum(s, 1.0)
+            away = rng.uniform(-self.reached_rad, self.reached_rad, self.joints)
+            goal = self.middle + elsewhere + away
             way = goal - self.at
-            parts.append(np.array([
-                self.at + way * (10 * s**3 - 15 * s**4 + 6 * s**5),
-                way * (30 * s**2 - 60 * s**3 + 30 * s**4) / takes_s,
-                way * (60 * s - 180 * s**2 + 120 * s**3) / takes_s**2,
-            ]))  # fmt: skip
+            takes_s = rng.uniform(0.8, 1.2) + 0.6 * np.abs(way).max()
+            rest_s = rng.uniform(0.05, 0.5)
+            count = round((takes_s + rest_s) * self.rate_Hz)
+            s = np.arange(count)[:, None] / self.rate_Hz / takes_s
+            s = np.minimum(s, 1.0)
+            share = 10 * s**3 - 15 * s**4 + 6 * s**5
+            rate = 30 * s**2 - 60 * s**3 + 30 * s**4
+            bend = 60 * s - 180 * s**2 + 120 * s**3
+            parts.append(
+                np.array(
+                    [
+                        self.at + way * share,
+                        way * rate / takes_s,
+                        way * bend / takes_s**2,
+                    ]
+                )
+            )
             self.at = goal
         moves = np.concatenate(parts, axis=1)[:, :samples]
         self.at = moves[0, -1].copy()
@@ -140,6 +145,16 @@ class SensingArm:
         self.model.body_mass[self.tool], self.model.body_ipos[self.tool] = mass, centre
         self.model.body_inertia[self.tool] = 0.4 * mass * 0.03**2
         mujoco.mj_setConst(self.model, self.data)
+
+    def _drift(self, count: int) -> np.ndarray:
+        """Offsets of the sensors that wander, of so many samples [N m], (count, n)."""
+        keeps = np.exp(-1.0 / self.rate_Hz / self.drift_s)
+        steps = self.rng.standard_normal((count, self.joints)) * self.drift
+        drift = np.zeros_like(steps)
+        drift[0] = steps[0]
+        for row in range(1, count):
+            drift[row] = keeps * drift[row - 1] + np.sqrt(1.0 - keeps**2) * steps[row]
+        return drift
 
     def work(
         self,
@@ -154,7 +169,8 @@ class SensingArm:
         moves = self._moves(seconds, elsewhere)
         rng = self.rng
         data = self.data
-        count = moves.shape[1]
+        position, velocity, _ = moves
+        count = len(position)
         times_s = np.arange(count) / self.rate_Hz
         torque = np.zeros((count, self.joints))
         ahead = list(loads)
@@ -162,30 +178,16 @@ class SensingArm:
         for row, (q, qd, qdd) in enumerate(np.swapaxes(moves, 0, 1)):
             while ahead and times_s[row] >= ahead[0][0]:
                 self._hold(ahead.pop(0)[1])
-            data.qpos[:], data.qvel[:], data.qacc[:] = q, qd, qdd
+            data.qpos[:] = q
+            data.qvel[:] = qd
+            data.qacc[:] = qdd
             mujoco.mj_inverse(self.model, data)
             torque[row] = data.qfrc_inverse
-        position = moves[0]
-        velocity = moves[1]
-        friction = (
-            self.coulomb
-            * (1.0 + self.place * np.sin(position + self.phase))
-            * np.tanh(velocity / 0.01)
-        )
-        keeps = np.exp(-1.0 / self.rate_Hz / self.drift_s)
-        drift = np.zeros((count, self.joints))
-        steps = rng.standard_normal((count, self.joints)) * self.drift
-        for row in range(count):
-            drift[row] = (
-                steps[row]
-                if row == 0
-                else keeps * drift[row - 1] + np.sqrt(1.0 - keeps**2) * steps[row]
-            )
-        torque += (
-            friction * (1.0 + 0.05 * rng.standard_normal(self.joints))
-            + self.viscous * velocity
-            + drift
-        )
+        of_place = 1.0 + self.place * np.sin(position + self.phase)
+        friction = self.coulomb * of_place * np.tanh(velocity / 0.01)
+        drift = self._drift(count)
+        warm = 1.0 + 0.05 * rng.standard_normal(self.joints)
+        torque += friction * warm + self.viscous * velocity + drift
         effort = torque * self.scale + self.noise * rng.standard_normal(torque.shape)
         heard_s = times_s + 2e-4 * rng.standard_normal(count)
         reading = position + 2e-5 * rng.standard_normal(position.shape)

@@ -93,11 +93,12 @@ def urdf() -> str:
         where = f'<origin xyz="{com[0]} {com[1]} {com[2]}"/><mass value="{mass}"/>{inertia}'
         links.append(link(f"link{number}", f"<inertial>{where}</inertial>"))
         # Craig: turned about x, then along z of the turned frame
-        along = {0.0: (a, 0.0, d), pi / 2: (a, -d, 0.0), -pi / 2: (a, d, 0.0)}[alpha]
+        turned = {0.0: (0.0, d), pi / 2: (-d, 0.0), -pi / 2: (d, 0.0)}
+        y, z = turned[alpha]
         limit = f'<limit lower="{lower}" upper="{upper}" effort="{effort}" velocity="{velocity}"/>'
         joints.append(
             f'<joint name="joint{number}" type="revolute"><parent link="link{number - 1}"/><child link="link{number}"/>'
-            f'<origin xyz="{along[0]} {along[1]} {along[2]}" rpy="{alpha} 0 0"/><axis xyz="0 0 1"/>{limit}</joint>'
+            f'<origin xyz="{a} {y} {z}" rpy="{alpha} 0 0"/><axis xyz="0 0 1"/>{limit}</joint>'
         )
     links.append('<link name="flange"/>')
     joints.append(

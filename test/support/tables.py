@@ -82,7 +82,9 @@ def written(
     lines = [separator.join(headers)]
     for row in zip(*columns, strict=True):
         cells = [cell if isinstance(cell, str) else repr(float(cell)) for cell in row]
-        lines.append(separator.join(cell.replace(".", ",") if comma else cell for cell in cells))
+        if comma:
+            cells = [cell.replace(".", ",") for cell in cells]
+        lines.append(separator.join(cells))
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(before + "\n".join(lines) + "\n")
     return path
@@ -150,9 +152,17 @@ def rtde(path: Path, found: Recorded) -> Path:
     headers = ["timestamp"]
     columns: list[Sequence[object]] = [[decimals(int(t)) for t in found.times_ns]]
     for name, values in fields:
-        headers += [name] if values.ndim == 1 else [f"{name}_{n}" for n in range(values.shape[1])]
-        columns += [values] if values.ndim == 1 else list(values.T)
+        if values.ndim == 1:
+            headers.append(name)
+            columns.append(values)
+            continue
+        headers += [f"{name}_{n}" for n in range(values.shape[1])]
+        columns += list(values.T)
     return written(path, headers, columns, separator=" ")
+
+
+def texts(numbers: np.ndarray) -> list[str]:
+    return [repr(float(number)) for number in numbers]
 
 
 def libfranka(path: Path, found: Recorded, spaced: bool = True) -> Path:
@@ -176,11 +186,12 @@ def libfranka(path: Path, found: Recorded, spaced: bool = True) -> Path:
     ]
     gap = ", " if spaced else ","
     names = [gap.join(f"{name}[{n}]" for n in range(values.shape[1])) for name, values in states]
-    since_ms = [str(int(t - found.times_ns[0]) // 10**6) for t in found.times_ns]
+    since_ms = (found.times_ns - found.times_ns[0]) // 10**6
     lines = [gap.join(["time", "success_rate", ""]) + ",".join(names)]
-    rows = np.column_stack([np.ones(len(zeros)), *(values for _, values in states)])
+    success = np.ones(len(zeros))
+    rows = np.column_stack([success, *(values for _, values in states)])
     for time_ms, row in zip(since_ms, rows, strict=True):
-        lines.append(",".join([time_ms, *(repr(float(value)) for value in row)]))
+        lines.append(",".join([str(int(time_ms)), *texts(row)]))
     path.write_text("\n".join(lines) + "\n")
     return path
 
@@ -193,12 +204,12 @@ def merged(path: Path, found: Recorded, command: str = "command [A]") -> Path:
     headers += [f"{joint}_{command}" for joint in found.commanded]
     blank = [""] * len(found.commanded)
     rows: list[tuple[int, list[str]]] = []
-    for row, time_ns in enumerate(found.times_ns):
-        numbers = [*found.position[row], *found.velocity[row], *found.effort[row]]
-        rows.append((int(time_ns), [*(repr(float(x)) for x in numbers), *blank]))
+    measured = np.hstack([found.position, found.velocity, found.effort])
+    for time_ns, numbers in zip(found.times_ns, measured, strict=True):
+        rows.append((int(time_ns), [*texts(numbers), *blank]))
     nothing = [""] * (3 * len(found.joints))
-    for row, time_ns in enumerate(found.command_ns):
-        rows.append((int(time_ns), [*nothing, *(repr(float(x)) for x in found.command[row])]))
+    for time_ns, command in zip(found.command_ns, found.command, strict=True):
+        rows.append((int(time_ns), [*nothing, *texts(command)]))
     rows.sort(key=lambda each: each[0])
     lines = [",".join([decimals(time_ns), *cells]) for time_ns, cells in rows]
     path.write_text("\n".join([",".join(headers), *lines]) + "\n")
@@ -210,11 +221,12 @@ def parquet(path: Path, found: Recorded) -> Path:
     import pyarrow as pa
     import pyarrow.parquet as pq
 
+    vectors = pa.list_(pa.float64())
     columns = {
         "timestamp": pa.array(found.times_ns, pa.timestamp("ns")),
-        "position": pa.array(found.position.tolist(), pa.list_(pa.float64())),
-        "velocity": pa.array(found.velocity.tolist(), pa.list_(pa.float64())),
-        "current": pa.array(found.effort.tolist(), pa.list_(pa.float64())),
+        "position": pa.array(found.position.tolist(), vectors),
+        "velocity": pa.array(found.velocity.tolist(), vectors),
+        "current": pa.array(found.effort.tolist(), vectors),
     }
     pq.write_table(pa.table(columns), path)
     return path

@@ -213,11 +213,13 @@ class TwoArms:
         """Position, velocity and acceleration of all joints at each step, shape (3, S, J)."""
         times_s = np.arange(round((seconds + 1.0) / STEP_S)) * STEP_S
         wanted = np.zeros((3, len(times_s), len(names)))
-        rest = {
-            **dict(zip((f"{side}_{joint}" for side in SIDES for joint in ARM), [*MIDDLE, *MIDDLE], strict=True)),
-            **dict.fromkeys((f"{side}{finger}_joint" for side in SIDES for finger in ("_finger", "_other_finger")), 0.02),
-            **torso,
-        }  # fmt: skip
+        rest: dict[str, float] = {}
+        for side in SIDES:
+            for joint, middle in zip(ARM, MIDDLE, strict=True):
+                rest[f"{side}_{joint}"] = middle
+            rest[f"{side}_finger_joint"] = 0.02
+            rest[f"{side}_other_finger_joint"] = 0.02
+        rest.update(torso)
 
         def add(column: int, size: float, speed: float, phase: float) -> None:
             angle = speed * times_s + phase
@@ -231,10 +233,15 @@ class TwoArms:
                 wanted[0, :, column] = 8.0 * times_s
                 wanted[1, :, column] = 8.0
             elif name in HEAD or name in swings:
-                add(column, swings.get(name, 0.4), self.rng.uniform(0.8, 1.6), self.rng.uniform(0.0, 6.0))  # fmt: skip
+                speed = self.rng.uniform(0.8, 1.6)
+                phase = self.rng.uniform(0.0, 6.0)
+                add(column, swings.get(name, 0.4), speed, phase)
         for column in arm:
             for _ in range(4):
-                add(column, self.rng.uniform(0.1, 0.3), self.rng.uniform(0.4, 2.2), self.rng.uniform(0.0, 6.0))  # fmt: skip
+                size = self.rng.uniform(0.1, 0.3)
+                speed = self.rng.uniform(0.4, 2.2)
+                phase = self.rng.uniform(0.0, 6.0)
+                add(column, size, speed, phase)
         return wanted
 
     def _simulated(
@@ -277,7 +284,8 @@ class TwoArms:
         arm: Sequence[int],
     ) -> None:
         """The bag, in the order of the alphabet as a broadcaster has it; followers are not published."""
-        times_s, position, velocity, effort = (np.array(column) for column in zip(*rows, strict=True))  # fmt: skip
+        columns_of_rows = zip(*rows, strict=True)
+        times_s, position, velocity, effort = (np.array(each) for each in columns_of_rows)
         effort[:, arm] *= self.scale
         effort += 0.02 * self.rng.standard_normal(effort.shape)
         position += 1e-4 * self.rng.standard_normal(position.shape)

@@ -96,10 +96,11 @@ class Worker:
             self._from, self._begun_s = self._to, self.now_s
             self._to = self.rng.uniform(LOWEST, HIGHEST)
             self._takes_s = self.move_s * self.rng.uniform(1.0, 1.5)
-        share = (
-            1.0 if self._takes_s == 0.0 else min((self.now_s - self._begun_s) / self._takes_s, 1.0)
-        )
-        return self._from + (self._to - self._from) * (10 * share**3 - 15 * share**4 + 6 * share**5)
+        share = 1.0
+        if self._takes_s > 0.0:
+            share = min((self.now_s - self._begun_s) / self._takes_s, 1.0)
+        smooth = 10 * share**3 - 15 * share**4 + 6 * share**5
+        return self._from + (self._to - self._from) * smooth
 
     @property
     def resting(self) -> bool:

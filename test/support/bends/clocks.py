@@ -139,7 +139,12 @@ def stamps_of_zero_first(tape: Tape, rng: Rng, count: int) -> Tape:
 )
 def row_number_for_a_time(tape: Tape, rng: Rng) -> Tape:
     """The first stamp is 0 s, the second 1 s, and so on."""
-    return tape.retimed(lambda times_ns: 10**9 * (1 + np.arange(len(times_ns), dtype=np.int64)))
+
+    def numbered(times_ns: TimeArray) -> TimeArray:
+        rows = np.arange(len(times_ns), dtype=np.int64)
+        return 10**9 * (1 + rows)
+
+    return tape.retimed(numbered)
 
 
 @bend(
@@ -181,7 +186,8 @@ def stamped_when_polled(
 ) -> Tape:
     """Somebody looks every so often, hands on all that has come since, and stamps it then."""
     lasts_s = 1e-9 * (tape.end_ns - tape.begin_ns) + 2.0
-    between_s = 1e-3 * every_ms * (1.0 + scatter * rng.normal(size=int(3e3 * lasts_s / every_ms)))
+    enough = int(3e3 * lasts_s / every_ms)
+    between_s = 1e-3 * every_ms * (1.0 + scatter * rng.normal(size=enough))
     since_s = np.cumsum(np.maximum(between_s, 1e-4))
     polls_ns = tape.begin_ns - 10**9 + np.round(1e9 * since_s).astype(np.int64)
 
@@ -220,7 +226,8 @@ def samples_held(tape: Tape, rng: Rng, rate: int) -> Tape:
 
     def held(states: Stream) -> Stream:
         rows = np.arange(len(states.bag_ns)) // rate * rate
-        return states.with_values(**{name: table[rows] for name, table in states.values.items()})
+        values = {name: table[rows] for name, table in states.values.items()}
+        return states.with_values(**values)
 
     return tape.with_states(held)
 

@@ -151,9 +151,9 @@ def friction_falls(tape: Tape, rng: Rng, share: float) -> Tape:
     def warmed(effort: FloatArray, states: Stream) -> FloatArray:
         position = states.values["position"]
         times_s = 1e-9 * (states.stamp_ns - states.stamp_ns[0])
-        velocity = np.gradient(
-            position, np.maximum.accumulate(times_s + 1e-6 * np.arange(len(times_s))), axis=0
-        )
+        apart_s = times_s + 1e-6 * np.arange(len(times_s))
+        rising_s = np.maximum.accumulate(apart_s)
+        velocity = np.gradient(position, rising_s, axis=0)
         size = share * np.nanstd(effort, axis=0)
         along = np.linspace(0.0, 1.0, len(effort))[:, None]
         return effort - size * along * np.tanh(velocity / 0.02)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
@@ -24,7 +25,8 @@ def with_position(
         if joint not in states.names:
             return states
         position = states.values["position"].copy()
-        position[:, states.column(joint)] = change(position[:, states.column(joint)])
+        column = states.column(joint)
+        position[:, column] = change(position[:, column])
         return states.with_values(position=position)
 
     return tape.with_states(changed)
@@ -173,7 +175,7 @@ def another_column_in_another_unit(tape: Tape, rng: Rng, value: float) -> Tape:
             name: np.hstack([table, column if name == "position" else np.zeros_like(column)])
             for name, table in states.values.items()
         }
-        return Stream(**{**vars(states), "names": (*states.names, "a_gripper"), "values": values})
+        return replace(states, names=(*states.names, "a_gripper"), values=values)
 
     return tape.with_states(beside)
 

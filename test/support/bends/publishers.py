@@ -98,7 +98,8 @@ def lists_doubled(tape: Tape, rng: Rng) -> Tape:
     """A relay appends what it heard to its own list: every joint stands twice in each message."""
 
     def doubled(states: Stream) -> Stream:
-        values = {name: np.hstack([table, table]) for name, table in states.values.items()}
+        tables = states.values.items()
+        values = {name: np.hstack([table, table]) for name, table in tables}
         return replace(states, names=states.names * 2, values=values)
 
     return tape.with_states(doubled)
@@ -112,8 +113,8 @@ def lists_doubled(tape: Tape, rng: Rng) -> Tape:
 def copies_in_another_order(tape: Tape, rng: Rng, order: str) -> Tape:
     """A second publisher repeats positions alone, its joints in another order."""
     states = tape.states
-    count = len(states.names)
-    columns = np.arange(count)[::-1] if order == "reversed" else np.roll(np.arange(count), 1)
+    columns = np.arange(len(states.names))
+    columns = columns[::-1] if order == "reversed" else np.roll(columns, 1)
     other = replace(
         states,
         names=tuple(states.names[column] for column in columns),

@@ -147,9 +147,13 @@ class Tape:
         length_ns = self.end_ns - self.begin_ns
         first_ns = self.begin_ns + int(begin * length_ns)
         last_ns = self.begin_ns + int(end * length_ns)
-        streams = tuple(
-            each.kept((each.bag_ns >= first_ns) & (each.bag_ns <= last_ns)) for each in self.streams
-        )
+
+        def within(stream: Stream) -> Stream:
+            late = stream.bag_ns >= first_ns
+            early = stream.bag_ns <= last_ns
+            return stream.kept(late & early)
+
+        streams = tuple(within(each) for each in self.streams)
         others = tuple(each for each in self.others if first_ns <= each.time_ns <= last_ns)
         return Tape(streams, others)
 
@@ -212,13 +216,13 @@ def _stream(
         names = tuple(each.label for each in first.layout.dim)
         values = {"data": np.array([each.data for each in messages])}
         return Stream(topic, msgtype, names, bag_ns, bag_ns, values, first)
-    stamps = [each.header.stamp.sec * 10**9 + each.header.stamp.nanosec for each in messages]
+    stamps = [each.header.stamp for each in messages]
     values = {
         name: np.array([getattr(each, name) for each in messages])
         for name in FIELDS
         if len(getattr(first, name))
     }
-    stamp_ns = np.array(stamps, dtype=np.int64)
+    stamp_ns = np.array([each.sec * 10**9 + each.nanosec for each in stamps], dtype=np.int64)
     return Stream(
         topic,
         msgtype,

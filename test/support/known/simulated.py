@@ -52,7 +52,9 @@ READY: Mapping[str, Ready] = {
 
 def twin_mass(build: str, seed: int) -> float:
     """What the arm of a seed holds [kg]; each fourth holds nothing."""
-    return Twin(seed, BUILDS[build]).payload(np.random.default_rng([seed, 2]))[0]
+    rng = np.random.default_rng([seed, 2])
+    mass_kg, _ = Twin(seed, BUILDS[build]).payload(rng)
+    return mass_kg
 
 
 def twin(folder: Path, build: str, seed: int) -> Files:
@@ -74,8 +76,10 @@ def twin(folder: Path, build: str, seed: int) -> Files:
 def ready_mass(arm: str, seed: int) -> float:
     """What the arm of a seed holds [kg]; each fourth holds nothing."""
     low, high = READY[arm].load_kg
-    drawn = np.exp(np.random.default_rng([seed, 3]).uniform(np.log(low), np.log(high)))
-    return 0.0 if seed % 4 == 0 else float(drawn)
+    if seed % 4 == 0:
+        return 0.0
+    rng = np.random.default_rng([seed, 3])
+    return float(np.exp(rng.uniform(np.log(low), np.log(high))))
 
 
 def ready(folder: Path, arm: str, seed: int) -> Files:
@@ -85,7 +89,8 @@ def ready(folder: Path, arm: str, seed: int) -> Files:
     robot = load_robot(arm)
     of = READY[arm]
     turning = [each for each in robot.drive_trains if robot.model.joint(each).kind != "prismatic"]
-    for number, (name, load_kg) in enumerate((("empty", 0.0), ("loaded", ready_mass(arm, seed)))):
+    loads = {"empty": 0.0, "loaded": ready_mass(arm, seed)}
+    for number, (name, load_kg) in enumerate(loads.items()):
         if not files[name].exists():
             record_arm(
                 files[name],
@@ -105,7 +110,8 @@ def ready(folder: Path, arm: str, seed: int) -> Files:
 
 def so101_mass(seed: int) -> float:
     """What the arm of a seed holds [kg]."""
-    return float(np.random.default_rng([seed, 4]).choice((0.0, 0.05, 0.1, 0.2)))
+    rng = np.random.default_rng([seed, 4])
+    return float(rng.choice((0.0, 0.05, 0.1, 0.2)))
 
 
 def so101(folder: Path, seed: int) -> Files:
