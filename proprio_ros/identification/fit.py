@@ -161,6 +161,40 @@ def known_exactly(robot: Robot, runs: Sequence[PreparedRun]) -> bool:
     )
 
 
+def first_problem(
+    robot: Robot,
+    runs: Sequence[PreparedRun],
+    facts: PayloadFacts,
+    options: SearchOptions,
+    role: Role,
+    start_velocity_std: float | None = None,
+) -> tuple[Problem, np.ndarray]:
+    """What is to be fitted, and every start of the options in solver coordinates, shape (S, F).
+
+    Arguments are those of `solve_load`: robot, runs, facts, options, role, start_velocity_std.
+    """
+    unknowns = load_unknowns(
+        robot,
+        runs,
+        facts,
+        role,
+        options.starts_kg[len(options.starts_kg) // 2],
+    )
+    if start_velocity_std is not None:
+        unknowns = [replace(u, std=start_velocity_std) if u.kind == "v0" else u for u in unknowns]
+    problem = Problem(
+        robot,
+        runs,
+        facts,
+        unknowns,
+        options.integrator,
+        options.step_s,
+    )
+    starts = np.tile(problem.coordinates.prior_mean, (len(options.starts_kg), 1))
+    starts[:, 0] = options.starts_kg
+    return problem, problem.coordinates.internal(starts)
+
+
 def solve_load(
     robot: Robot,
     runs: Sequence[PreparedRun],
@@ -183,30 +217,9 @@ def solve_load(
         start_velocity_std: Of every run's start velocity [rad/s]; None is the usual one.
         rough: Enough to start another fit from.
     """
-    unknowns = load_unknowns(
-        robot,
-        runs,
-        facts,
-        role,
-        options.starts_kg[len(options.starts_kg) // 2],
-    )
-    if start_velocity_std is not None:
-        unknowns = [replace(u, std=start_velocity_std) if u.kind == "v0" else u for u in unknowns]
-    problem = Problem(
-        robot,
-        runs,
-        facts,
-        unknowns,
-        options.integrator,
-        options.step_s,
-    )
-    coordinates = problem.coordinates
-    if start is None:
-        starts = np.tile(coordinates.prior_mean, (len(options.starts_kg), 1))
-        starts[:, 0] = options.starts_kg
-    else:
-        starts = start.values[problem.free][None]
-    starts = coordinates.internal(starts)
+    problem, starts = first_problem(robot, runs, facts, options, role, start_velocity_std)
+    if start is not None:
+        starts = problem.coordinates.internal(start.values[problem.free][None])
     if options.solver == "lm" or start is not None:
         windows = problem.simulator.windows if start is None else None
         iterations, tolerance = (10, 0.03) if rough else (30, 1e-4)

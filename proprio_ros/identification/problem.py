@@ -133,6 +133,7 @@ class Problem:
         self.robot = robot
         self.runs = tuple(runs)
         self.facts = facts
+        self.integrator = integrator
         self.unknowns = tuple(unknowns)
         self.index: dict[Key, int] = {u.key: row for row, u in enumerate(unknowns)}
         rows = [row for row, u in enumerate(unknowns) if u.role is Role.FREE]
@@ -255,6 +256,12 @@ class Problem:
         of_cos = self.index.get(("ripple_cos", run.run.joint), -1)
         of_sin = self.index.get(("ripple_sin", run.run.joint), -1)
         return of_cos, of_sin
+
+    def known_ripple(self) -> np.ndarray:
+        """What is known of each encoder's once-per-turn error: the factors of cosine and sine [rad], shape (R, 2)."""
+        return np.array(
+            [[self.base[row] if row >= 0 else 0.0 for row in pair] for pair in self._ripple]
+        )
 
     @functools.cached_property
     def _touching(self) -> list[np.ndarray]:
@@ -566,8 +573,7 @@ class Problem:
             p = p.reshape(-1, p.shape[-1])
             return p, dp.reshape(-1, *dp.shape[2:])
         if guesses not in self._affine_maps:
-            origin = self.all_values(np.zeros((1, len(self.free))))
-            offset, slope = (array[0] for array in self.parameters(origin, self.free))
+            offset, slope = self.affine_map()
             self._affine_maps[guesses] = (
                 offset,
                 _read_only(np.tile(slope, (guesses, 1, 1))),
@@ -576,6 +582,12 @@ class Problem:
         slope = tangents[: len(self.runs)]
         p = offset + np.tensordot(free_values, slope, axes=(1, 2))
         return p.reshape(-1, p.shape[-1]), tangents
+
+    def affine_map(self) -> tuple[np.ndarray, np.ndarray]:
+        """Parameters (R, P) where all that is free is 0, and what each of it adds (R, P, F): all there is where they are affine."""
+        origin = self.all_values(np.zeros((1, len(self.free))))
+        p, dp = self.parameters(origin, self.free)
+        return p[0], dp[0]
 
     def worlds(self, guesses: int) -> np.ndarray:
         if guesses not in self._world_runs:

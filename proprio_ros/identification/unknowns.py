@@ -123,6 +123,11 @@ class Coordinates:
             physical,
         )
 
+    @property
+    def scale(self) -> np.ndarray:
+        """Of coordinates that are an inverse hyperbolic sine, 0 where they are linear, shape (F,)."""
+        return np.where(self._curved, self._scales, 0.0)
+
     def physical(self, internal: np.ndarray) -> np.ndarray:
         """Physical values of solver coordinates, shape (..., F)."""
         return np.where(

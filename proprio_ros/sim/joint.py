@@ -118,6 +118,7 @@ class JointSimulator:
     Args:
         runs: The runs; worlds refer to them by index. Runs may have different lengths.
         integrator: One of ``INTEGRATORS``.
+        device: Where the kernels run: ``"cpu"`` or a graphics card, as `runtime.device_named` gives it.
 
     Raises:
         ConfigurationError: Warp cannot keep compiled kernels.
@@ -128,7 +129,9 @@ class JointSimulator:
     harmless: np.ndarray = harmless(PARAMETERS)
     tangent_sizes: tuple[int, ...] = _TANGENT_SIZES
 
-    def __init__(self, runs: Sequence[JointRun], integrator: str = "rk4") -> None:
+    def __init__(
+        self, runs: Sequence[JointRun], integrator: str = "rk4", device: str = "cpu"
+    ) -> None:
         runtime.check()
         if integrator not in INTEGRATORS:
             raise SimulationError(
@@ -140,17 +143,19 @@ class JointSimulator:
             )
         self.runs = tuple(runs)
         self.integrator = integrator
+        self.device = device
         padded = _Padded.of(runs)
         self.sample_counts = padded.sample_counts
         self.sample_counts.setflags(write=False)
         self._width = int(self.sample_counts.max())
+        self._times_s = padded.sample_times_s
         self._samples = self._array(padded.sample_times_s)
         self._switch_times = self._array(padded.input_times_s)
-        self._inputs = wp.array(padded.inputs, dtype=VEC3, device="cpu")
+        self._inputs = wp.array(padded.inputs, dtype=VEC3, device=device)
         self._constants = self._array(padded.constants)
         self._steps = self._array(padded.steps_s)
-        self._input_counts = wp.array(padded.input_counts, dtype=wp.int32, device="cpu")
-        self._full_counts = wp.array(self.sample_counts, dtype=wp.int32, device="cpu")
+        self._input_counts = wp.array(padded.input_counts, dtype=wp.int32, device=device)
+        self._full_counts = wp.array(self.sample_counts, dtype=wp.int32, device=device)
         self._launches: dict[tuple[int, int, bool], _Launch] = {}
 
     # A simulator of something else in the hand is a subclass that overrides the class attributes above and these:
@@ -221,7 +226,7 @@ class JointSimulator:
         return wp.array(
             np.ascontiguousarray(values, dtype=np.float64),
             dtype=FLOAT,
-            device="cpu",
+            device=self.device,
         )
 
     def _zeros(
@@ -230,22 +235,15 @@ class JointSimulator:
         kind: Any = FLOAT,
         **options: bool,
     ) -> wp.array:
-        return wp.zeros(shape, dtype=kind, device="cpu", **options)
+        return wp.zeros(shape, dtype=kind, device=self.device, **options)
 
     def windows(self, fraction: float) -> np.ndarray:
         """How many samples of each run lie in the first ``fraction`` of its time, at least three; shape (R,), int32."""
-        counts = [
-            int(
-                np.searchsorted(
-                    run.sample_times_s,
-                    fraction * run.sample_times_s[-1] + TIME_EPS,
-                    side="right",
-                )
-            )
-            for run in self.runs
-        ]
+        ends = self._times_s[np.arange(len(self.runs)), self.sample_counts - 1]
+        within = self._times_s <= (fraction * ends + TIME_EPS)[:, None]
+        within &= np.arange(self._width) < self.sample_counts[:, None]
         return np.minimum(
-            np.maximum(np.array(counts, dtype=np.int32), 3),
+            np.maximum(within.sum(axis=1, dtype=np.int32), 3),
             self.sample_counts,
         )
 
@@ -272,7 +270,7 @@ class JointSimulator:
         q, v, dq, *_ = self.launch(world_run, p, dp, counts)
         return q, v, dq[:, :, : dp.shape[2]]
 
-    def _run_data(self, counts: wp.array) -> list[Any]:
+    def run_data(self, counts: wp.array) -> list[Any]:
         """What every kernel knows about the runs, in its order."""
         times = self._switch_times
         inputs = self._inputs
@@ -360,20 +358,22 @@ class _Launch:
         out = law.out()
         for name, array in zip(law.out.vars, self._outputs, strict=True):
             setattr(out, name, array)
-        inputs = [*owner._run_data(counts), world_run, p, dp]
+        inputs = [*owner.run_data(counts), world_run, p, dp]
         self._command = runtime.launch(
             rollout(law, owner.integrator),
             dim=worlds,
             inputs=inputs,
             outputs=[out],
-            device="cpu",
+            device=owner.device,
             others=owner.usual_kernels,
             record_cmd=True,
         )
         # on the CPU a Warp array is the host's own memory: written and read in place, without a copy
-        self._views = [array.numpy() for array in (world_run, counts, p, dp)]
+        self._in_place = p.device.is_cpu
+        self._inputs = (world_run, counts, p, dp)
+        self._views = [array.numpy() for array in self._inputs]
         self._given: list[np.ndarray | None] = [None] * len(self._views)
-        self._results = tuple(output.numpy() for output in self._outputs)
+        self._results = self._read()
 
     def __call__(
         self,
@@ -385,7 +385,12 @@ class _Launch:
         for at, values in enumerate((world_run, counts, p, dp)):
             self._put(at, values)
         self._command.launch()
+        if not self._in_place:
+            self._results = self._read()
         return self._results
+
+    def _read(self) -> tuple[np.ndarray, ...]:
+        return tuple(output.numpy() for output in self._outputs)
 
     def _put(self, at: int, values: np.ndarray) -> None:
         """Hand an input over; a read-only array that was already given has not changed."""
@@ -395,3 +400,5 @@ class _Launch:
         whole = self._views[at]
         whole[..., : values.shape[-1]] = values
         whole[..., values.shape[-1] :] = 0
+        if not self._in_place:
+            self._inputs[at].assign(whole)

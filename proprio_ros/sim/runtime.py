@@ -14,7 +14,7 @@ from typing import Any
 import warp as wp
 
 from proprio_ros import progress
-from proprio_ros.errors import ComputerError
+from proprio_ros.errors import ComputerError, ConfigurationError
 
 FLOAT = wp.float64
 """All rollouts run in double precision: on a CPU float32 is no faster, and its gradients are off by up to 0.1 %."""
@@ -44,6 +44,25 @@ def check() -> None:
     """Raises: ComputerError: Warp could not make its folder of compiled kernels."""
     if _refusal:
         raise ComputerError(_refusal)
+
+
+def device_named(name: str) -> str:
+    """A device as Warp takes it: ``"cpu"``, ``"cuda"`` (the first graphics card) or ``"cuda:1"``.
+
+    Raises `ConfigurationError`: It is not there.
+    """
+    check()
+    if name == "cpu":
+        return name
+    if name.partition(":")[0] != "cuda":
+        raise ConfigurationError(f"--device {name}: choose cpu or cuda")
+    there = ["cuda", *(f"cuda:{number}" for number in range(wp.get_cuda_device_count()))]
+    if len(there) == 1:
+        missing = "no CUDA device: Warp finds no NVIDIA graphics card and driver on this computer"
+        raise ConfigurationError(f"--device {name}: {missing}; leave it out")
+    if name not in there:
+        raise ConfigurationError(f"--device {name}: choose cpu, {', '.join(there)}")
+    return name
 
 
 def _unwritable(error: OSError) -> str:
@@ -94,25 +113,26 @@ def launch(
         ComputerError: A compiled kernel cannot be kept.
     """
     global _alone
-    if not _is_kept(kernel.module, device):
+    block = given.get("block_dim")
+    if not _is_kept(kernel.module, device, block):
         _alone += 1
         to_come = sum(not _is_kept(each.module, device) for each in others() if each != kernel)
         of = f" of at most {_alone + to_come}" if to_come else ""
         progress.say(f"compiling kernel {_alone}{of}, once on this computer")
-        _load(kernel.module, device)
+        _load(kernel.module, device, block)
     return wp.launch(kernel, device=device, **given)
 
 
-def _load(module: Any, device: Any) -> None:
+def _load(module: Any, device: Any, block: int | None = None) -> None:
     try:
-        wp.load_module(module, device=device)
+        wp.load_module(module, device=device, block_dim=block)
     except OSError as error:
         raise ComputerError(_unwritable(error)) from error
 
 
-def _is_kept(module: Any, device: Any) -> bool:
+def _is_kept(module: Any, device: Any, block: int | None = None) -> bool:
     # Warp names the folder of a module by its content, and renames it into place once everything is in it
-    name = module.get_module_identifier(1 if wp.get_device(device).is_cpu else None)
+    name = module.get_module_identifier(1 if wp.get_device(device).is_cpu else block)
     return os.path.isdir(os.path.join(wp.config.kernel_cache_dir, name))
 
 

@@ -27,6 +27,7 @@ import calibrated
 import case as cases
 import container
 import fresh_process
+import gpu
 import planned
 import softness
 from case import REPEATS, Case, Row, measure
@@ -45,6 +46,7 @@ PARTS = {
     "plan": planned.rows,
     "bus": bus.rows,
     "softness": softness.rows,
+    "gpu": gpu.rows,
 }
 
 

@@ -433,7 +433,7 @@ def forward(
     ]
     out += [owner._zeros((worlds, samples), wp.int32)]
     given = [
-        *owner._run_data(owner._full_counts),
+        *owner.run_data(owner._full_counts),
         runs,
         p,
         capacity,
