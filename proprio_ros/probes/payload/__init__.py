@@ -105,11 +105,13 @@ class Payload(
             recorded: With runs.
             facts: Of the payload.
         """
-        from proprio_ros.probes.payload.identify import weigh
+        from proprio_ros.probes.payload.identify import weigh_with_advice
         from proprio_ros.probes.payload.paper import as_published, identify_as_paper
 
         if facts.paper is None:
-            return weigh(robot, recorded.runs, facts.payload, facts.weighing, recorded.baseline)
+            return weigh_with_advice(
+                robot, recorded.runs, facts.payload, facts.weighing, recorded.baseline
+            )
         swings = [run.name for run in recorded.runs if run.free]
         if swings:
             raise RecordingError(

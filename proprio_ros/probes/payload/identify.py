@@ -71,6 +71,7 @@ from proprio_ros.identification.same_joint import (
 from proprio_ros.identification.swing_friction import TERMS, own_friction, swing_starts
 from proprio_ros.identification.unknowns import Role
 from proprio_ros.kinds import name_of
+from proprio_ros.probes.payload.narrowing import what_would_narrow
 from proprio_ros.quantity import Z95, shown
 from proprio_ros.records import Run
 from proprio_ros.robot import Robot
@@ -136,6 +137,44 @@ def weigh(
     Raises:
         RecordingError: A run cannot be related to the robot at all (unknown joint, missing held joint).
     """
+    return _weighed(robot, runs, facts, options, baseline).estimate
+
+
+def weigh_with_advice(
+    robot: Robot,
+    runs: Sequence[Run],
+    facts: PayloadFacts,
+    options: WeighingOptions,
+    baseline: Sequence[Run] = (),
+) -> Estimate:
+    """As `weigh`, with a note on what would narrow the interval, and to what.
+
+    Args:
+        robot: As its file or its calibration states it.
+        runs: With the payload.
+        facts: Of the payload.
+        options: Of the solver.
+        baseline: Runs with nothing in the hand.
+
+    Raises:
+        RecordingError: As `weigh` does.
+    """
+    answer = _weighed(robot, runs, facts, options, baseline)
+    estimate = answer.estimate
+    if answer.weighed is None:
+        return estimate
+    advice = what_would_narrow(answer.weighed, estimate.verdict)
+    return replace(estimate, notes=(*estimate.notes, *advice))
+
+
+def _weighed(
+    robot: Robot,
+    runs: Sequence[Run],
+    facts: PayloadFacts | None,
+    options: WeighingOptions | None,
+    baseline: Sequence[Run],
+) -> _Attempt:
+    """What `weigh` answers, and from what."""
     facts = facts or PayloadFacts()
     options = options or WeighingOptions()
     kept = list(runs)
@@ -151,16 +190,18 @@ def weigh(
         last = _weigh(robot, kept, facts, options, baseline)
     if last.estimate.verdict is Verdict.REJECTED:
         cause = () if first.weighed is None else first.weighed.cause
-        return replace(first.estimate, reasons=(*cause, *first.estimate.reasons))
+        said = replace(first.estimate, reasons=(*cause, *first.estimate.reasons))
+        return replace(first, estimate=said)
     if not left_out:
-        return last.estimate
+        return last
     question = "was the object held as in the others, and nothing in the way?"
     reason = Reason("runs_differ", gates.said_left_out(left_out, len(runs), question))
-    return replace(
+    estimate = replace(
         last.estimate,
         reasons=(*last.estimate.reasons, reason),
         runs=len(runs),
     )
+    return replace(last, estimate=estimate)
 
 
 @dataclass(frozen=True)
