@@ -17,7 +17,7 @@ pytest.importorskip("rclpy")
 from action_msgs.msg import GoalStatus
 from rclpy.action import ActionClient
 from support.domains import free_domain
-from support.live import LATCHED, running, wait_for
+from support.live import LATCHED, Client, running, wait_for
 from support.message_packages import build
 
 from proprio_ros.errors import ConfigurationError
@@ -36,9 +36,14 @@ def blank(**more: Any) -> Any:
 
 def test_what_is_not_known_is_not_a_number() -> None:
     entries = {
-        "payload_mass": 0.5, "payload_mass.std": 0.25, "payload_mass.ci95": [0.0, 1.0], "payload_com": [0.1, 0.2, 0.3],
-        "verdict": "too_wide", "reason.1": "one", "reason.2": "two",
-    }  # fmt: skip
+        "payload_mass": 0.5,
+        "payload_mass.std": 0.25,
+        "payload_mass.ci95": [0.0, 1.0],
+        "payload_com": [0.1, 0.2, 0.3],
+        "verdict": "too_wide",
+        "reason.1": "one",
+        "reason.2": "two",
+    }
     filled = fill(blank(), probe_named("payload"), entries)
     assert (filled.mass, filled.std, filled.interval, filled.verdict) == (
         0.5,
@@ -58,7 +63,8 @@ def test_what_is_not_known_is_not_a_number() -> None:
         "verdict": "failed",
     }
     filled = fill(blank(), probe_named("payload"), unknown)
-    assert all(map(math.isnan, (filled.mass, filled.std, *filled.interval, filled.centre.y)))
+    nowhere = (filled.mass, filled.std, *filled.interval, filled.centre.y)
+    assert all(map(math.isnan, nowhere))
     block = fill(
         SimpleNamespace(),
         probe_named("softness"),
@@ -103,6 +109,97 @@ def test_a_target_that_has_no_mass_is_refused() -> None:
             action._asked(goal)
 
 
+class Weighing:
+    """A client of the action, and what it has heard."""
+
+    def __init__(self, client: Client, weigh: Any, estimate: Any) -> None:
+        self.client = client
+        self.weigh = weigh
+        self.masses: list[Any] = []
+        self.feedback: list[Any] = []
+        client.node.create_subscription(
+            estimate, "/identifier/mass_estimate", self.masses.append, LATCHED
+        )
+        self.action = ActionClient(client.node, weigh, "/identifier/weigh_action")
+        assert wait_for(self.action.server_is_ready, 60.0)
+
+    def send(self, **goal: Any) -> Any:
+        self.feedback.clear()
+        sent = self.action.send_goal_async(
+            self.weigh.Goal(**goal), lambda message: self.feedback.append(message.feedback)
+        )
+        return self.client.answer(sent, 60.0)
+
+    def begun(self, **goal: Any) -> Any:
+        """A goal that is on its way."""
+        found = self.send(sequence="payload_elbow", **goal)
+        assert found.accepted
+        assert wait_for(lambda: bool(self.feedback), 120.0), self.client.statuses
+        return found
+
+    def withdrawn(self) -> bool:
+        return any(each.verdict == "withdrawn" and math.isnan(each.mass) for each in self.masses)
+
+
+def check_that_all_say_the_same(
+    final: dict[str, str],
+    result: Any,
+    stamped: Any,
+) -> None:
+    """The identifier's estimate, the action's result, and the estimate with a stamp."""
+    # a computer that is busy elsewhere records nothing of use
+    if final["payload_mass"] == "not determined":
+        assert math.isnan(result.mass)
+        assert math.isnan(stamped.mass)
+    else:
+        assert float(final["payload_mass"]) == result.mass == stamped.mass
+        interval = json.loads(final["payload_mass.ci95"])
+        assert interval == list(result.interval) == list(stamped.interval)
+    assert final["verdict"] == result.verdict == stamped.verdict
+    reasons = [final[key] for key in final if key.startswith("reason.")]
+    assert reasons == list(result.reasons) == list(stamped.reasons)
+
+
+def check_a_weighing(weighing: Weighing) -> None:
+    client = weighing.client
+    goal = weighing.begun(settings=["payload.shape=cube", "payload.size=0.03"])
+    another = weighing.action.send_goal_async(weighing.weigh.Goal())
+    assert not client.answer(another, 60.0).accepted, "one at a time"
+    ended = client.answer(goal.get_result_async(), 600.0)
+    result = ended.result
+    # the arm is not calibrated, so what the verdict is, is the identification's business; here, that all say the same
+    assert (ended.status == GoalStatus.STATUS_SUCCEEDED) == (result.verdict == "accepted")
+    assert wait_for(lambda: bool(weighing.masses) and weighing.masses[-1].final, 60.0)
+    assert wait_for(client.final, 60.0)
+    stamped = weighing.masses[-1]
+    check_that_all_say_the_same(client.estimates[-1], result, stamped)
+    assert stamped.header.frame_id == "end_effector_link"
+    assert stamped.header.stamp.sec > 0
+    assert Path(result.bag).is_dir()
+    assert result.bag in result.message
+    kept = json.loads((Path(result.bag).parent / "estimate.json").read_text())
+    assert "payload.size=0.03" in kept["command"], "what the goal stated counted"
+    assert weighing.feedback[-1].fraction > 0.0
+
+
+def check_two_ways_to_cancel(weighing: Weighing) -> None:
+    """What stood is withdrawn, and the next job may come."""
+    client = weighing.client
+    goal = weighing.begun()
+    assert wait_for(weighing.withdrawn, 60.0)
+    client.answer(goal.cancel_goal_async(), 60.0)
+    ended = client.answer(goal.get_result_async(), 60.0)
+    assert ended.status == GoalStatus.STATUS_CANCELED
+    assert "cancelled" in ended.result.message
+    assert ended.result.verdict == "failed"
+    assert math.isnan(ended.result.mass)
+    # by the service that ends any job, too
+    goal = weighing.begun()
+    assert client.call("/identifier/cancel").success
+    ended = client.answer(goal.get_result_async(), 60.0)
+    assert ended.status == GoalStatus.STATUS_CANCELED
+
+
 @pytest.mark.long
 def test_weighing_as_an_action(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("ROS_DOMAIN_ID", free_domain())
@@ -114,89 +211,16 @@ def test_weighing_as_an_action(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
     kind: Any = importlib.import_module("proprio_msgs.msg").MassEstimate
     with running(
         tmp_path, virtual={"object": 0.05}, environment={"PYTHONPATH": built["PYTHONPATH"]}
-    ) as (graph, client):
-        masses: list[Any] = []
-        client.node.create_subscription(kind, "/identifier/mass_estimate", masses.append, LATCHED)
-        action = ActionClient(client.node, weigh, "/identifier/weigh_action")
-        assert wait_for(action.server_is_ready, 60.0)
-        heard: list[Any] = []
-
-        def send(**goal: Any) -> Any:
-            heard.clear()
-            sent = action.send_goal_async(
-                weigh.Goal(**goal), lambda message: heard.append(message.feedback)
-            )
-            return client.answer(sent, 60.0)
-
-        facts = ["payload.shape=cube", "payload.size=0.03"]
-        goal = send(sequence="payload_elbow", settings=facts)
-        assert goal.accepted
-        assert wait_for(lambda: bool(heard), 120.0), (
-            client.statuses,
-            graph.log("identifier"),
-            graph.log("excitation"),
-        )
-        assert not client.answer(action.send_goal_async(weigh.Goal()), 60.0).accepted, (
-            "one at a time"
-        )
-        ended = client.answer(goal.get_result_async(), 600.0)
-        result = ended.result
-        # the arm is not calibrated, so what the verdict is, is the identification's business; here, that all say the same
-        assert (ended.status == GoalStatus.STATUS_SUCCEEDED) == (result.verdict == "accepted")
-        assert wait_for(lambda: bool(masses) and masses[-1].final, 60.0)
-        assert wait_for(client.final, 60.0)
-        final = client.estimates[-1]
-        stamped = masses[-1]
-        # a computer that is busy elsewhere records nothing of use
-        if final["payload_mass"] == "not determined":
-            assert math.isnan(result.mass)
-            assert math.isnan(stamped.mass)
-        else:
-            assert float(final["payload_mass"]) == result.mass == stamped.mass
-            assert (
-                json.loads(final["payload_mass.ci95"])
-                == list(result.interval)
-                == list(stamped.interval)
-            )
-        assert final["verdict"] == result.verdict == stamped.verdict
-        assert (
-            [final[key] for key in final if key.startswith("reason.")]
-            == list(result.reasons)
-            == list(stamped.reasons)
-        )
-        assert stamped.header.frame_id == "end_effector_link"
-        assert stamped.header.stamp.sec > 0
-        assert Path(result.bag).is_dir()
-        assert result.bag in result.message
-        command = json.loads((Path(result.bag).parent / "estimate.json").read_text())["command"]
-        assert "payload.size=0.03" in command, "what the goal stated counted"
-        assert heard[-1].fraction > 0.0
-
-        # cancelled, what stood is withdrawn, and the next job may come
-        goal = send(sequence="payload_elbow")
-        assert goal.accepted
-        assert wait_for(lambda: bool(heard), 120.0)
-        assert wait_for(
-            lambda: any(each.verdict == "withdrawn" and math.isnan(each.mass) for each in masses),
-            60.0,
-        )
-        client.answer(goal.cancel_goal_async(), 60.0)
-        ended = client.answer(goal.get_result_async(), 60.0)
-        assert ended.status == GoalStatus.STATUS_CANCELED
-        assert "cancelled" in ended.result.message
-        assert ended.result.verdict == "failed"
-        assert math.isnan(ended.result.mass)
-
-        # by the service that ends any job, too
-        goal = send(sequence="payload_elbow")
-        assert goal.accepted
-        assert wait_for(lambda: bool(heard), 120.0)
-        assert client.call("/identifier/cancel").success
-        assert client.answer(goal.get_result_async(), 60.0).status == GoalStatus.STATUS_CANCELED
-
+    ) as (_, client):
+        weighing = Weighing(client, weigh, kind)
+        check_a_weighing(weighing)
+        check_two_ways_to_cancel(weighing)
         # what cannot be begun is refused, and the reason stands in the node's log
-        wrong = (
-            {"sequence": "no_such_sequence"}, {"target": "elephant"}, {"settings": ["payload.siz=0.03"]},
-            {"half_interval": math.nan}, {"target": "weigh", "sequence": "payload"},
-        )  # fmt: skip
-        assert not any(send(**each).accepted for each in wrong)
+        wrong: tuple[dict[str, Any], ...] = (
+            {"sequence": "no_such_sequence"},
+            {"target": "elephant"},
+            {"settings": ["payload.siz=0.03"]},
+            {"half_interval": math.nan},
+            {"target": "weigh", "sequence": "payload"},
+        )
+        assert not any(weighing.send(**each).accepted for each in wrong)

@@ -13,7 +13,8 @@ MOST_MEMBERS = 14
 
 
 def test_a_probe_has_few_members() -> None:
-    members = {name for name in [*vars(Probe), *Probe.__annotations__] if not name.startswith("_")}
+    names = {*vars(Probe), *Probe.__annotations__}
+    members = {name for name in names if not name.startswith("_")}
     assert len(members) <= MOST_MEMBERS, sorted(members)
 
 

@@ -160,14 +160,16 @@ def test_an_empty_hand_beside_it_tells_the_zero(arm: Robot) -> None:
     alone = weigh(arm, run, facts).values[0]
     beside = weigh(arm, run, facts, baseline=empty).values[0]
     assert beside.std < alone.std
-    assert abs(beside.value - 0.02) < 2.0 * beside.std < 0.5 * abs(alone.value - 0.02)
+    error = abs(beside.value - 0.02)
+    assert error < 2.0 * beside.std < 0.5 * abs(alone.value - 0.02)
 
 
 def test_zeros_that_are_known_to_repeat_cost_nothing(arm: Robot) -> None:
     narrow = asked(replace(arm, zero_repeat=0.0), recorded(BALL)).values[0]
     wide = asked(replace(arm, zero_repeat=0.005), recorded(BALL)).values[0]
     assert narrow.std < 0.5 * wide.std
-    assert narrow.std < asked(arm, recorded(BALL)).values[0].std < 1.2 * narrow.std
+    as_stated = asked(arm, recorded(BALL)).values[0]
+    assert narrow.std < as_stated.std < 1.2 * narrow.std
 
 
 @pytest.mark.parametrize("folder", [BALL, HEAVY_BALL, CUBE, LOWERED])
@@ -175,7 +177,8 @@ def test_an_answer_says_what_a_clock_that_is_off_would_change(arm: Robot, folder
     """Against weighing the same samples with other stamps, by up to one percent."""
     facts = simulated.facts_of(folder)
     (run,) = runs_in(recorded(folder))
-    (said,) = (each for each in weigh(arm, [run], facts).assumptions if "keep time" in each)
+    assumptions = weigh(arm, [run], facts).assumptions
+    (said,) = (each for each in assumptions if "keep time" in each)
     match = re.search(r"by up to ([0-9.]+) g", said)
     assert match is not None
     per_percent = 1e-3 * float(match[1])
@@ -185,7 +188,8 @@ def test_an_answer_says_what_a_clock_that_is_off_would_change(arm: Robot, folder
             mass = weigh(arm, [stretched(run, pace)], facts).values[0].value
             assert mass is not None
             masses.append(mass)
-        assert abs(masses[0] - masses[1]) == pytest.approx(200.0 * part * per_percent, rel=0.15)
+        apart = abs(masses[0] - masses[1])
+        assert apart == pytest.approx(200.0 * part * per_percent, rel=0.15)
 
 
 def stretched(run: Run, pace: float) -> Run:
@@ -382,7 +386,8 @@ def test_a_motor_that_always_delivers_less_is_weighed_as_before(tmp_path: Path) 
         write_calibration(file, FILE, calibration)
         pushed = bends.scaled_command(recorded(BALL), factor)
         mass = asked(load_robot(file), pushed).values[0]
-        plain = asked(load_robot(file), bends.scaled_command(recorded(BALL), calibrated)).values[0]
+        as_calibrated = bends.scaled_command(recorded(BALL), calibrated)
+        plain = asked(load_robot(file), as_calibrated).values[0]
         widths.append(mass.std / plain.std)
     assert widths[0] > 1.2 and widths[1] == 1.0
 
@@ -424,7 +429,8 @@ def test_noise_counts_where_the_joint_ends_up_too_fast_to_be_driven(arm: Robot, 
     before = prepare_run(arm, run, None, facts)
     # the last three samples are as fast as 12 V allow, with half of the effort
     position = run.position.copy()
-    position[-3:] = position[-4] + np.sign(position[-4] - position[0]) * 0.12 * np.arange(1, 4)
+    way = np.sign(position[-4] - position[0])
+    position[-3:] = position[-4] + way * 0.12 * np.arange(1, 4)
     effort = run.reported_effort.copy()
     effort[-3:] *= (0.8, 0.5, 0.2)
     fast = prepare_run(

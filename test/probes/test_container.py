@@ -120,7 +120,8 @@ def test_every_recording(
         )
     off = 1e3 * np.array([error for error, _ in results])
     assert len(off) == 9
-    assert np.abs(off).max() < worst_g and np.sqrt(np.mean(off**2)) < rms_g, off
+    assert np.abs(off).max() < worst_g, off
+    assert np.sqrt(np.mean(off**2)) < rms_g, off
     assert np.mean([hit for _, hit in results]) >= 0.9
 
 
@@ -334,7 +335,11 @@ def plain_run(gravity: np.ndarray, shape: str = "box") -> SphereRun:
         np.zeros(1),
     )
     return SphereRun(
-        joint, "revolute", np.array([0.0, 1.0, 0.0]), np.array([-0.2, 0.0, 0.0]), gravity
+        joint,
+        "revolute",
+        np.array([0.0, 1.0, 0.0]),
+        np.array([-0.2, 0.0, 0.0]),
+        gravity,
     )
 
 
@@ -376,8 +381,10 @@ def test_where_a_sphere_settles() -> None:
         tin,
         0.0,
     )
+    pressed = 10.0 / tin.contact_frequency**2
     np.testing.assert_allclose(
-        rim.mean[:2], (0.02 + 10.0 / tin.contact_frequency**2) * np.array([0.6, 0.8])
+        rim.mean[:2],
+        (0.02 + pressed) * np.array([0.6, 0.8]),
     )
     ball = ContainerFacts(Enclosure("sphere", np.full(3, 0.05), 0.01))
     np.testing.assert_allclose(
@@ -391,7 +398,8 @@ def test_where_a_sphere_settles() -> None:
         rtol=6e-3,
     )
     for prior in (tilted, level, lying, rim):
-        assert np.all(prior.lower <= prior.mean) and np.all(prior.mean <= prior.upper)
+        assert np.all(prior.lower <= prior.mean)
+        assert np.all(prior.mean <= prior.upper)
 
 
 def problem_of(

@@ -6,14 +6,17 @@ simulator and its law of contact have no part in it.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
+from scipy.linalg import block_diag
 
 from proprio_ros.addons.paper import hand as paper_hand
 from proprio_ros.errors import ConfigurationError
 from proprio_ros.excitation.plans import Until, check_sequence, load_sequence
+from proprio_ros.experiment_design.candidates import Push
 from proprio_ros.experiment_design.choosing import Decision
 from proprio_ros.identification.estimate import Estimate
 from proprio_ros.identification.gates import LITTLE_TRAVEL
@@ -67,8 +70,10 @@ def test_a_shell_that_nobody_knows_is_refused() -> None:
 def test_every_push_rolls_the_sphere_out_of_a_known_end(chooser: SphereUntilSure) -> None:
     pushes = chooser.ranked(BENT, 0.0)
     kinds = {(push.joint, push.travel > 0.0) for push in pushes}
-    assert len(pushes) >= 8 and len(kinds) >= 3
-    assert [push.gain for push in pushes] == sorted((push.gain for push in pushes), reverse=True)
+    assert len(pushes) >= 8
+    assert len(kinds) >= 3
+    gains = [push.gain for push in pushes]
+    assert gains == sorted(gains, reverse=True)
     for push in pushes:
         geometry = chooser._geometry(chooser.catalogue.still(push))
         begins = push.start[push.joint]
@@ -82,42 +87,59 @@ def test_every_push_rolls_the_sphere_out_of_a_known_end(chooser: SphereUntilSure
         check_sequence(chooser.sequence_of(chooser.run_of(push)), ROBOT)
 
 
+def sensitivities(
+    chooser: SphereUntilSure,
+    pushes: Sequence[Push],
+    samples: int,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Whitened slopes of each push's first samples, and the variances of what is each push's own.
+
+    Args:
+        chooser: Of the pushes.
+        pushes: P of them.
+        samples: How many tell something.
+
+    Returns:
+        Slopes (P, T, U), what all pushes share first; variances (P, U - shared).
+    """
+    problem = chooser._problem([chooser.catalogue.standing(push) for push in pushes])
+    values = problem.base.copy()
+    values[problem.index["sphere_mass"]] = 0.02
+    _, _, dq = problem.simulate(values[None], problem.free)
+    free = [problem.unknowns[row] for row in problem.free]
+    in_common = [f for f, u in enumerate(free) if u.shared]
+    places = [chooser._shared.at[free[f].key] for f in in_common]
+    rows = []
+    variances = []
+    for run, of_push in enumerate(dq[0]):
+        own = [f for f, u in enumerate(free) if not u.shared and u.scope == run]
+        common = np.zeros((len(of_push), len(chooser._shared.keys)))
+        common[:, places] = of_push[:, in_common]
+        rows.append(np.hstack([common, of_push[:, own]]))
+        variances.append([free[f].std ** 2 for f in own])
+    weight = np.zeros(len(rows[0]))
+    weight[:samples] = 1.0 / problem.runs[0].sigma[0]
+    return np.array(rows) * weight[:, None], np.array(variances)
+
+
 def test_one_sample_after_the_other_tells_what_all_tell_together(chooser: SphereUntilSure) -> None:
     """The filter against all samples of a run at once."""
     pushes = [replace(push, duration_s=0.5) for push in chooser.ranked(BENT, 0.0)[:6]]
-    problem = chooser._problem([chooser.catalogue.standing(push) for push in pushes])
     shared = chooser._shared
     covariance = chooser._covariance
-    values = problem.base.copy()
-    values[problem.index["sphere_mass"]] = 0.02
-    _, v, dq = problem.simulate(
-        values[None],
-        problem.free,
-    )
-    weight = (np.arange(v.shape[2]) < 20) / problem.runs[0].sigma[0] * np.ones((len(pushes), 1))
-    free = [problem.unknowns[row] for row in problem.free]
-    own = [
-        [f for f, u in enumerate(free) if not u.shared and u.scope == run]
-        for run in range(len(pushes))
-    ]
-    rows = np.zeros((len(pushes), v.shape[2], len(shared.keys) + len(own[0])))
-    rows[..., [shared.at[u.key] for u in free if u.shared]] = dq[0][..., [u.shared for u in free]]
-    for run, columns in enumerate(own):
-        rows[run, :, len(shared.keys) :] = dq[0][run][:, columns]
-    variance = np.array([[free[f].std ** 2 for f in columns] for columns in own])
-    seen = np.zeros((*rows.shape[:2], 3, rows.shape[2]))
-    seen[:, :, 0, shared.at["sphere_mass"]] = 1.0
-    stds, spreads = shared.stds_along(
-        rows * weight[..., None], variance, covariance, "sphere_mass", seen
-    )
+    rows, variance = sensitivities(chooser, pushes, 20)
     at = shared.at["sphere_mass"]
-    for run, whitened in enumerate(rows * weight[..., None]):
-        before = np.diag([*np.zeros(len(shared.keys)), *variance[run]])
-        before[: len(shared.keys), : len(shared.keys)] = covariance
+    seen = np.zeros((*rows.shape[:2], 3, rows.shape[2]))
+    seen[:, :, 0, at] = 1.0
+    stds, spreads = shared.stds_along(rows, variance, covariance, "sphere_mass", seen)
+    for run, whitened in enumerate(rows):
+        before = block_diag(covariance, np.diag(variance[run]))
         along = whitened @ before
-        after = before - along.T @ np.linalg.solve(along @ whitened.T + np.eye(len(along)), along)
+        innovation = along @ whitened.T + np.eye(len(along))
+        after = before - along.T @ np.linalg.solve(innovation, along)
         assert stds[run, -1] == pytest.approx(np.sqrt(after[at, at]), rel=1e-5)
-    assert np.all(np.diff(stds, axis=1) <= 1e-9) and spreads == pytest.approx(stds)
+    assert np.all(np.diff(stds, axis=1) <= 1e-9)
+    assert spreads == pytest.approx(stds)
 
 
 @dataclass
@@ -218,8 +240,10 @@ def test_a_push_tells_what_was_foreseen() -> None:
     )
     assert it.ended_by == "worth" and "a tenth of what is missing" in it.decisions[-1].reason
     # the first is foreseen for no mass in particular
-    assert len(it.promised) >= 3 and 0.5 < it.promised[0][1] / it.promised[0][0] < 2.0
-    assert all(0.8 < after / before < 1.25 for before, after in it.promised[1:]), it.promised
+    ratios = [after / before for before, after in it.promised]
+    assert len(ratios) >= 3
+    assert 0.5 < ratios[0] < 2.0
+    assert all(0.8 < ratio < 1.25 for ratio in ratios[1:]), it.promised
 
 
 @pytest.mark.long

@@ -19,14 +19,26 @@ from proprio_ros.probes.container.detail import ContainerDetail, SpherePath
 from proprio_ros.probes.container.figures import drawable, moving_figure, path_figure
 
 SVG = "{http://www.w3.org/2000/svg}"
-INSIDES = {"box": [0.06, 0.03, 0.04], "cylinder": [0.05, 0.05, 0.08], "sphere": [0.07, 0.07, 0.07]}
+INSIDES = {
+    "box": [0.06, 0.03, 0.04],
+    "cylinder": [0.05, 0.05, 0.08],
+    "sphere": [0.07, 0.07, 0.07],
+}
 
 
 def rotation(axis: np.ndarray, angle: float) -> np.ndarray:
     """Rodrigues' formula."""
     x, y, z = axis / np.linalg.norm(axis)
-    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    return np.eye(3) + np.sin(angle) * cross + (1.0 - np.cos(angle)) * cross @ cross
+    cross = np.array(
+        [
+            [0.0, -z, y],
+            [z, 0.0, -x],
+            [-y, x, 0.0],
+        ]
+    )
+    once = np.sin(angle) * cross
+    twice = (1.0 - np.cos(angle)) * cross @ cross
+    return np.eye(3) + once + twice
 
 
 def rolled(
@@ -38,17 +50,21 @@ def rolled(
 ) -> SpherePath:
     """A sphere that rolls along x while the container turns by 100 degrees about ``across``."""
     times = np.linspace(0.0, 0.6, count)
-    position = np.outer(np.linspace(-0.012, 0.008, count), [1.0, 0.0, 0.0]) + np.array(
-        [0.0, 0.001, -0.007]
-    )
+    position = np.tile([0.0, 0.001, -0.007], (count, 1))
+    position[:, 0] = np.linspace(-0.012, 0.008, count)
     axis = np.array(across)
-    turns = [
-        (np.eye(3) if first is None else first) @ rotation(axis, angle)
-        for angle in np.linspace(0.0, 1.75, count)
-    ]
-    std = np.full((count, 3), std_m)
+    begin = np.eye(3) if first is None else first
+    turns = [begin @ rotation(axis, angle) for angle in np.linspace(0.0, 1.75, count)]
     return SpherePath(
-        "run", shape, np.array(INSIDES[shape]), 0.008, times, position, std, np.array(turns), axis
+        "run",
+        shape,
+        np.array(INSIDES[shape]),
+        0.008,
+        times,
+        position,
+        np.full((count, 3), std_m),
+        np.array(turns),
+        axis,
     )
 
 
@@ -67,19 +83,27 @@ def silhouette(text: str) -> np.ndarray:
     return numbers(drawn(text, "polygon")[0].attrib["points"]).reshape(-1, 2)
 
 
+def circles_of(path: SpherePath) -> dict[str, list[float]]:
+    """Centre and radius as drawn [mm] by the circle's class."""
+    found = {}
+    for circle in drawn(path_figure(path, 1), "circle"):
+        values = [float(circle.attrib[key]) for key in ("cx", "cy", "r")]
+        found[circle.get("class", "")] = values
+    return found
+
+
 def test_start_and_end_are_where_the_path_says_in_mm() -> None:
-    circles = {circle.get("class"): circle for circle in drawn(path_figure(rolled(), 1), "circle")}
+    path = rolled()
+    circles = circles_of(path)
     assert len(circles) == 3, "start, end, and those in between"
     # one looks along y: x to the right and z upwards
-    assert [float(circles["start"].attrib[key]) for key in ("cx", "cy", "r")] == [-12.0, -7.0, 8.0]
-    assert [float(circles["end"].attrib[key]) for key in ("cx", "cy", "r")] == [8.0, -7.0, 8.0]
-    path = rolled()
+    assert circles["start"] == [-12.0, -7.0, 8.0]
+    assert circles["end"] == [8.0, -7.0, 8.0]
     lifted = replace(
         path,
         position=path.position + np.array([0.0, 0.5, 0.003]),
     )
-    start = next(c for c in drawn(path_figure(lifted, 1), "circle") if c.get("class") == "start")
-    assert (start.attrib["cx"], start.attrib["cy"]) == ("-12", "-4"), (
+    assert circles_of(lifted)["start"] == [-12.0, -4.0, 8.0], (
         "z shows, and y, the line of sight, does not"
     )
 
@@ -107,17 +131,21 @@ def test_the_inside_as_large_as_it_looks_from_there(
     width: float,
     height: float,
 ) -> None:
-    for text in (path_figure(rolled(shape, across), 1), moving_figure(rolled(shape, across), 1)):
-        assert np.ptp(silhouette(text), axis=0) == pytest.approx([width, height], abs=0.05)
-        assert "nan" not in text and "inf" not in text
+    path = rolled(shape, across)
+    for text in (path_figure(path, 1), moving_figure(path, 1)):
+        size = np.ptp(silhouette(text), axis=0)
+        assert size == pytest.approx([width, height], abs=0.05)
+        assert "nan" not in text
+        assert "inf" not in text
 
 
 def test_corners_of_a_box_and_roundness_of_the_others() -> None:
     box = silhouette(path_figure(rolled("box"), 1))
-    assert sorted(map(tuple, box)) == [(-30, -20), (-30, 20), (30, -20), (30, 20)]
-    assert np.linalg.norm(silhouette(path_figure(rolled("sphere"), 1)), axis=1) == pytest.approx(
-        35.0, abs=0.02
-    )
+    corners = {(-30, -20), (-30, 20), (30, -20), (30, 20)}
+    assert len(box) == 4
+    assert set(map(tuple, box)) == corners
+    sphere = silhouette(path_figure(rolled("sphere"), 1))
+    assert np.linalg.norm(sphere, axis=1) == pytest.approx(35.0, abs=0.02)
 
 
 def axes_by_gravity(path: SpherePath) -> np.ndarray:
@@ -168,18 +196,21 @@ def test_in_the_moving_picture_everything_is_where_it_was_in_the_world(seed: int
 def test_the_moving_picture_takes_five_times_as_long() -> None:
     text = moving_figure(rolled(), 1)
     keys = numbers(drawn(text, "animateTransform")[0].attrib["keyTimes"])
-    assert keys[0] == 0.0 and keys[-1] == 1.0 and (np.diff(keys) > 0.0).all()
-    assert {
-        a.attrib["dur"] for a in [*drawn(text, "animate"), *drawn(text, "animateTransform")]
-    } == {"4.00s"}
+    assert keys[0] == 0.0
+    assert keys[-1] == 1.0
+    assert (np.diff(keys) > 0.0).all()
+    animated = [*drawn(text, "animate"), *drawn(text, "animateTransform")]
+    assert {each.attrib["dur"] for each in animated} == {"4.00s"}
     assert keys[:-1] * 4.0 == pytest.approx(5.0 * rolled().times_s, abs=1e-3)
     for moving in drawn(text, "animate"):
-        assert len(numbers(moving.attrib["keyTimes"])) == len(moving.attrib["values"].split(";"))
+        values = moving.attrib["values"].split(";")
+        assert len(numbers(moving.attrib["keyTimes"])) == len(values)
 
 
 def test_the_clock_shows_one_time_at_a_time() -> None:
     path = rolled()
-    clock = [text for text in drawn(moving_figure(path, 1), "text") if text.get("visibility")]
+    texts = drawn(moving_figure(path, 1), "text")
+    clock = [text for text in texts if text.get("visibility")]
     assert [text.text for text in clock] == [f"{time:.2f} s" for time in path.times_s]
     for share in np.linspace(0.001, 0.999, 300):
         shown = []
@@ -188,11 +219,9 @@ def test_the_clock_shows_one_time_at_a_time() -> None:
             row = np.searchsorted(numbers(change["keyTimes"]), share, side="right") - 1
             if change["values"].split(";")[row] == "visible":
                 shown.append(float(text.text.split()[0]))
-        [time] = shown
-        assert (
-            time <= min(share * 4.0 / 5.0, 0.6) + 0.006
-            and time > min(share * 4.0 / 5.0, 0.6) - 0.032
-        )
+        (time,) = shown
+        true = min(share * 4.0 / 5.0, 0.6)
+        assert true - 0.032 < time <= true + 0.006
 
 
 def arrows(text: str) -> np.ndarray:
@@ -203,27 +232,31 @@ def arrows(text: str) -> np.ndarray:
         for group in groups
         for path in group.iter(SVG + "path")
     ]
-    return np.array([(shaft[1] - shaft[0]) * [1.0, -1.0] for shaft in shafts])
+    return np.array([np.diff(shaft, axis=0)[0] * [1.0, -1.0] for shaft in shafts])
 
 
 def test_gravity_at_the_start_and_the_end() -> None:
     path = rolled()
     start, end = arrows(path_figure(path, 1))
     assert start / np.linalg.norm(start) == pytest.approx([0.0, -1.0], abs=1e-3)
-    # the container turned by 1.75 rad about y, so in it gravity turned back by as much: x = sin, z = -cos
-    assert end / np.linalg.norm(end) == pytest.approx([np.sin(1.75), -np.cos(1.75)], abs=1e-3)
-    assert (
-        arrows(moving_figure(path, 1)).shape == (1, 2)
-        and arrows(moving_figure(path, 1))[0][1] < 0.0
-    )
+    # the container turned by 1.75 rad about y, so in it gravity turned back by as much
+    back = [np.sin(1.75), -np.cos(1.75)]
+    assert end / np.linalg.norm(end) == pytest.approx(back, abs=1e-3)
+    moving = arrows(moving_figure(path, 1))
+    assert moving.shape == (1, 2)
+    assert moving[0][1] < 0.0
 
 
 def test_a_joint_that_stands_upright_has_gravity_along_the_line_of_sight() -> None:
     path = rolled(across=(0.0, 0.0, 1.0))
     for text in (path_figure(path, 1), moving_figure(path, 1)):
-        assert len(arrows(text)) == 0 and "along the line of sight" in text and "nan" not in text
-    turn = numbers(drawn(moving_figure(path, 1), "animateTransform")[0].attrib["values"])
-    assert abs(turn[-1] - turn[0]) == pytest.approx(np.degrees(1.75), abs=0.02)
+        assert len(arrows(text)) == 0
+        assert "along the line of sight" in text
+        assert "nan" not in text
+    turning = drawn(moving_figure(path, 1), "animateTransform")[0]
+    angles = numbers(turning.attrib["values"])
+    turned = abs(angles[-1] - angles[0])
+    assert turned == pytest.approx(np.degrees(1.75), abs=0.02)
 
 
 def test_the_band_is_two_standard_deviations_and_only_where_it_shows() -> None:
@@ -244,9 +277,8 @@ def test_the_band_is_two_standard_deviations_and_only_where_it_shows() -> None:
         path,
         std=path.std * [1.0, 1.0, 0.0],
     )
-    assert all(float(e.attrib["ry"]) > 0.0 for e in drawn(path_figure(flat, 1), "ellipse")), (
-        "without width it would vanish"
-    )
+    for ellipse in drawn(path_figure(flat, 1), "ellipse"):
+        assert float(ellipse.attrib["ry"]) > 0.0, "without width it would vanish"
 
 
 def test_samples_that_are_no_numbers_are_left_out() -> None:
@@ -280,8 +312,11 @@ def test_samples_that_are_no_numbers_are_left_out() -> None:
 def test_long_runs_are_thinned_and_keep_their_ends() -> None:
     path = rolled(count=3000)
     shown = drawable(path)
-    assert shown is not None and len(shown.times_s) <= 120
-    assert (shown.position[[0, -1]] == path.position[[0, -1]]).all() and shown.moved == path.moved
+    assert shown is not None
+    assert len(shown.times_s) <= 120
+    for end in (0, -1):
+        assert (shown.position[end] == path.position[end]).all()
+    assert shown.moved == path.moved
     assert len(path_figure(shown, 1)) + len(moving_figure(shown, 1)) < 50_000
 
 
@@ -312,7 +347,9 @@ def test_the_page_of_three_runs(estimate: Estimate, tmp_path: Path) -> None:
     write_report(estimate, page)
     reader, text = read(page)
     assert page.stat().st_size < 300_000
-    assert [reader.classes.count(kind) for kind in ("chart", "arm", "sphere")] == [6 + 2, 1, 3 * 2]
+    assert reader.classes.count("chart") == 6 + 2
+    assert reader.classes.count("arm") == 1
+    assert reader.classes.count("sphere") == 3 * 2
     assert "container in the hand of open_manipulator_x, 3 runs" in text
     for words in (
         "11.9 g sphere mass, 95 % interval 10.6 to 13.2 g",

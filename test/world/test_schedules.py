@@ -6,6 +6,7 @@ import json
 import subprocess
 import sys
 from collections import Counter
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -42,21 +43,20 @@ def test_every_kind_is_among_them() -> None:
     kinds = Counter((each.plan, fault.kind) for each in plans for fault in each.faults)
     assert {plan for plan, _ in kinds} == set(PLANS)
     assert {kind for _, kind in kinds} == set(KINDS)
-    assert min(sum(kinds[plan, kind] for plan in PLANS) for kind in KINDS) >= 5
-    assert (
-        min(kinds["push", kind] for kind in KINDS if kind != "disk")
-        > 50
-        < sum(each.plan == "weigh" for each in plans)
-    )
-    ended = {(fault.kind, fault.whom) for each in plans for fault in each.faults}
-    assert {
-        (kind, whom) for kind in ("kill", "restart", "end", "stall") for whom in FAULTY
-    } <= ended
-    assert any(
-        fault.kind == "unplug" and fault.lasts_s > 1.0 for each in plans for fault in each.faults
-    ), "longer than a servo waits"
+    for kind in KINDS:
+        assert sum(kinds[plan, kind] for plan in PLANS) >= 5
+        assert kinds["push", kind] > 50 or kind == "disk"
+    assert sum(each.plan == "weigh" for each in plans) > 50
     assert sum(bool(each.network.lose or each.network.late) for each in plans) > 20
     assert all(drawn(seed).plan == "weigh" for seed in RECORDED)
+
+
+def test_every_node_is_hit_and_a_cable_is_off_for_long() -> None:
+    faults = [fault for seed in PLAYED for fault in drawn(seed).faults]
+    ended = {(fault.kind, fault.whom) for fault in faults}
+    assert set(product(("kill", "restart", "end", "stall"), FAULTY)) <= ended
+    unplugged_s = [fault.lasts_s for fault in faults if fault.kind == "unplug"]
+    assert max(unplugged_s) > 1.0, "longer than a servo waits"
 
 
 def play(folder: Path, *words: str) -> dict[str, Any]:
@@ -77,9 +77,8 @@ def play(folder: Path, *words: str) -> dict[str, Any]:
 
 @pytest.fixture(scope="module")
 def few(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
-    return play(
-        tmp_path_factory.mktemp("few"), ",".join(map(str, (*FAILED, *FEW, *RECORDED))), "--digest"
-    )
+    seeds = map(str, (*FAILED, *FEW, *RECORDED))
+    return play(tmp_path_factory.mktemp("few"), ",".join(seeds), "--digest")
 
 
 def test_a_few_schedules(few: dict[str, Any]) -> None:

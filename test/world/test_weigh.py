@@ -66,7 +66,8 @@ class Work:
                     (self._clock.now() - begun_s) / takes_s,
                     1.0,
                 )
-                wanted = here + (goal - here) * (10 * share**3 - 15 * share**4 + 6 * share**5)
+                smooth = 10 * share**3 - 15 * share**4 + 6 * share**5
+                wanted = here + (goal - here) * smooth
                 self._client.positions.publish(
                     labelled(dict(zip(JOINTS, wanted.tolist(), strict=True)))
                 )
@@ -92,121 +93,151 @@ def bag_of(client: Client, path: Path) -> Path:
     return path
 
 
-def test_something_picked_up_while_the_arm_works_is_noticed_and_weighed(tmp_path: Path) -> None:
+def write_truth(path: Path) -> None:
+    """Of an arm whose torque constants are what the file says: nobody has measured them, and a mass errs as they do."""
     robot = load_robot("open_manipulator_x")
     drawn = Truth.draw(robot, 3, links=True)
-    # nobody has measured the torque constants, so a mass errs as they do: here they are what the file says
     joints = {
         name: replace(joint, torque_constant=robot.drive_trains[name].torque_constant.value)
         for name, joint in drawn.joints.items()
     }
-    (tmp_path / "truth.json").write_text(replace(drawn, joints=joints).as_json())
+    path.write_text(replace(drawn, joints=joints).as_json())
+
+
+def calibrate(client: Client, folder: Path) -> Path:
+    """By 22 s of work with an empty hand."""
+    client.clock.sleep(1.0)
+    client.states.clear()
+    client.clock.sleep(22.0)
+    calibration = folder / "motions.yaml"
+    calibrated = calibrate_from_bags(
+        [bag_of(client, folder / "empty")],
+        {},
+        Options(effort_unit="N.m"),
+        calibration,
+    )
+    assert calibration.exists(), calibrated.reasons
+    return calibration
+
+
+class Listener:
+    """What the identifier says of the load while the arm works."""
+
+    def __init__(self, client: Client) -> None:
+        self.client = client
+        self.holding: list[bool] = []
+        client.world.user.create_subscription(
+            Bool, "/identifier/holding", lambda said: self.holding.append(said.data), LATCHED
+        )
+
+    def newest(self) -> dict[str, str]:
+        for told in reversed(self.client.estimates):
+            if told.get("running") == "true":
+                return told
+        return {}
+
+    def weighs(self, mass_kg: float) -> bool:
+        masses = self.client.masses
+        near = bool(masses) and abs(masses[-1] - mass_kg) < 0.005
+        return near and self.newest()["changed"] == "false"
+
+    def await_first(self) -> None:
+        """An empty hand, by a few seconds of motion."""
+        client = self.client
+        assert client.wait_for(self.newest), client.log("identifier")
+
+        def weighed() -> bool:
+            moved_s = float(self.newest()["seconds_of_motion"])
+            return moved_s > 3.0 and self.weighs(0.0)
+
+        assert client.wait_for(weighed, LATEST_S), self.newest()
+
+    def await_change(self, held: str, mass_kg: float) -> None:
+        """The hand holds something else: a change is said, and then what is held."""
+        client = self.client
+        begun = len(client.estimates)
+        assert client.set("/virtual", "object", held).successful
+
+        def changed() -> bool:
+            return any(told.get("changed") == "true" for told in client.estimates[begun:])
+
+        assert client.wait_for(changed, LATEST_S), self.newest()
+        assert client.wait_for(lambda: self.weighs(mass_kg), LATEST_S), self.newest()
+
+
+def check_what_it_can_carry(client: Client) -> None:
+    """Gravity's efforts with the load, and whether a pose can be reached with it."""
+    efforts: list[JointState] = []
+    capabilities: list[dict[str, str]] = []
+    user = client.world.user
+    user.create_subscription(JointState, "/identifier/gravity_effort", efforts.append, COMMANDS)
+    user.create_subscription(
+        DiagnosticStatus,
+        "/identifier/capability",
+        lambda said: capabilities.append(values_of(said)),
+        COMMANDS,
+    )
+    asks = user.create_publisher(JointState, "/identifier/carry_to", COMMANDS)
+    assert client.wait_for(lambda: len(efforts) > 3 and bool(capabilities)), client.log(
+        "identifier"
+    )
+    assert capabilities[-1]["can_carry"] == "true"
+    assert list(efforts[-1].name) == list(efforts[0].name)
+    asks.publish(JointState(name=["joint2"], position=[1.4]))
+    assert client.wait_for(lambda: capabilities[-1]["where"] == "to the goal"), capabilities
+    to_the_goal = capabilities[-1]
+    assert float(to_the_goal["most"]) > 0.05, to_the_goal
+    assert to_the_goal["joint"] in JOINTS, to_the_goal
+    asks.publish(JointState(name=["elbow"], position=[1.4]))
+    assert client.wait_for(lambda: capabilities[-1]["can_carry"] == "unknown"), capabilities
+
+
+def check_the_service(client: Client) -> None:
+    """It weighs by the last seconds, as a replay of what it recorded does."""
+    answer = client.call("/identifier/weigh")
+    assert answer.success, answer.message
+    recording = Path(answer.message.split("recording: ")[1])
+    live = replayed_alike(recording.parent / "estimate.json")
+    told = live["estimates"][0]
+    assert abs(told["value"] - 0.05) < 0.005, told
+
+
+def test_something_picked_up_while_the_arm_works_is_noticed_and_weighed(tmp_path: Path) -> None:
+    write_truth(tmp_path / "truth.json")
     virtual: dict[str, Any] = {"truth": tmp_path / "truth.json"}
     with running(tmp_path, "virtual", "driver", virtual=virtual) as client:
         work = Work(client)
         try:
-            client.clock.sleep(1.0)
-            client.states.clear()
-            client.clock.sleep(22.0)
-            empty = bag_of(client, tmp_path / "empty")
-            calibration = tmp_path / "motions.yaml"
-            calibrated = calibrate_from_bags(
-                [empty],
-                {},
-                Options(effort_unit="N.m"),
-                calibration,
-            )
-            assert calibration.exists(), calibrated.reasons
-            client.world.start(
-                "identifier",
-                {
-                    "calibration": calibration,
-                    "report": True,
-                    "running": True,
-                    "weigh_seconds": 12.0,
-                    "gravity_effort_rate": 20.0,
-                },
-            )
-
-            def newest() -> dict[str, str]:
-                return next(
-                    (told for told in reversed(client.estimates) if told.get("running") == "true"),
-                    {},
-                )
-
-            def weighs(mass_kg: float) -> bool:
-                return (
-                    bool(client.masses)
-                    and abs(client.masses[-1] - mass_kg) < 0.005
-                    and newest()["changed"] == "false"
-                )
-
-            holding: list[bool] = []
-            client.world.user.create_subscription(
-                Bool, "/identifier/holding", lambda said: holding.append(said.data), LATCHED
-            )
-            assert client.wait_for(newest), client.log("identifier")
-            assert client.wait_for(
-                lambda: float(newest()["seconds_of_motion"]) > 3.0 and weighs(0.0), LATEST_S
-            ), newest()
-            begun = len(client.estimates)
-            assert client.set("/virtual", "object", "0.05").successful
+            identifier = {
+                "calibration": calibrate(client, tmp_path),
+                "report": True,
+                "running": True,
+                "weigh_seconds": 12.0,
+                "gravity_effort_rate": 20.0,
+            }
+            client.world.start("identifier", identifier)
+            heard = Listener(client)
+            heard.await_first()
             picked_s = client.clock.now()
-            assert client.wait_for(
-                lambda: any(told.get("changed") == "true" for told in client.estimates[begun:]),
-                LATEST_S,
-            ), newest()
-            assert client.wait_for(lambda: weighs(0.05), LATEST_S), newest()
-            assert holding == [False, True] and newest()["holding"] == "true", newest()
-            efforts: list[JointState] = []
-            capabilities: list[dict[str, str]] = []
-            client.world.user.create_subscription(
-                JointState, "/identifier/gravity_effort", efforts.append, COMMANDS
-            )
-            client.world.user.create_subscription(
-                DiagnosticStatus,
-                "/identifier/capability",
-                lambda said: capabilities.append(values_of(said)),
-                COMMANDS,
-            )
-            asks = client.world.user.create_publisher(JointState, "/identifier/carry_to", COMMANDS)
-            assert client.wait_for(lambda: len(efforts) > 3 and bool(capabilities)), client.log(
-                "identifier"
-            )
-            assert capabilities[-1]["can_carry"] == "true"
-            assert list(efforts[-1].name) == list(efforts[0].name)
-            asks.publish(JointState(name=["joint2"], position=[1.4]))
-            assert client.wait_for(lambda: capabilities[-1]["where"] == "to the goal"), capabilities
-            assert float(capabilities[-1]["most"]) > 0.05 and capabilities[-1]["joint"] in JOINTS, (
-                capabilities[-1]
-            )
-            asks.publish(JointState(name=["elbow"], position=[1.4]))
-            assert client.wait_for(lambda: capabilities[-1]["can_carry"] == "unknown"), capabilities
+            heard.await_change("0.05", 0.05)
+            assert heard.holding == [False, True]
+            assert heard.newest()["holding"] == "true"
+            check_what_it_can_carry(client)
             client.clock.sleep(max(0.0, 14.0 - (client.clock.now() - picked_s)))
-            answer = client.call("/identifier/weigh")
-            assert answer.success, answer.message
-            live = replayed_alike(
-                Path(answer.message.split("recording: ")[1]).parent / "estimate.json"
-            )
-            told = live["estimates"][0]
-            assert abs(told["value"] - 0.05) < 0.005, told
-            begun = len(client.estimates)
-            assert client.set("/virtual", "object", "none").successful
-            assert client.wait_for(
-                lambda: any(told.get("changed") == "true" for told in client.estimates[begun:]),
-                LATEST_S,
-            ), newest()
-            assert client.wait_for(lambda: weighs(0.0), LATEST_S), newest()
+            check_the_service(client)
             # the service began anew, and found what it is asked for
-            assert (
-                holding == [False, True, False] and float(newest()["holding.probability"]) < 0.01
-            ), newest()
+            heard.await_change("none", 0.0)
+            assert heard.holding == [False, True, False]
+            assert float(heard.newest()["holding.probability"]) < 0.01
         finally:
             work.stop()
         rests = len(client.estimates)
         assert client.wait_for(
-            lambda: len(client.estimates) > rests + 15 and float(newest()["seconds_at_rest"]) > 0.5
+            lambda: (
+                len(client.estimates) > rests + 15
+                and float(heard.newest()["seconds_at_rest"]) > 0.5
+            )
         )
-        kept = newest()["payload_mass"]
+        kept = heard.newest()["payload_mass"]
         client.clock.sleep(1.0)
-        assert newest()["payload_mass"] == kept, "an arm at rest keeps its answer"
+        assert heard.newest()["payload_mass"] == kept, "an arm at rest keeps its answer"
