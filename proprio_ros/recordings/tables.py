@@ -24,6 +24,14 @@ from proprio_ros.errors import ProprioError, RecordingError, one_line
 from proprio_ros.inputs.forms import shortly
 from proprio_ros.inputs.reading import path_problem
 from proprio_ros.recordings.datasets import arrow
+from proprio_ros.recordings.echoes import (
+    BROKEN,
+    first_of,
+    is_echo,
+    names_are_numbers,
+    only_numbers,
+    read_echoes,
+)
 from proprio_ros.recordings.headers import Kind, header_of
 from proprio_ros.records import FloatArray
 
@@ -190,9 +198,7 @@ class _TextTable(Table):
         if not count:
             raise RecordingError("has a header and no row: record it again", self.path)
         if broken:
-            notes.append(
-                "the last line breaks off, as of a recorder that was killed; it was left out."
-            )
+            notes.append(BROKEN)
         if found:
             yield found
 
@@ -210,12 +216,36 @@ def _split(line: str, separator: str) -> list[str]:
     return next(csv.reader([line.rstrip("\r\n")], delimiter=separator, skipinitialspace=True), [])
 
 
+class _EchoTable(Table):
+    """Joint states as `ros2 topic echo --csv` and `rostopic echo -p` print them."""
+
+    def __init__(self, path: Path) -> None:
+        self._found = read_echoes(path)
+        super().__init__(path, self._found.headers)
+
+    def read(self, time: int, others: Sequence[int]) -> Cells:
+        found = self._found
+        if time or len(found.stamps_ns) > MOST_ROWS:
+            raise RecordingError(
+                f"its times are the stamps of messages, {MOST_ROWS} at most: leave `time` out of columns.yaml, or cut it",
+                self.path,
+            )
+        ticks = [PER_UNIT * stamp_ns for stamp_ns in found.stamps_ns]
+        numbers = {place: found.columns[place - 1] for place in others}
+        return Cells(ticks, dated=True, numbers=numbers, notes=found.notes)
+
+
 def _text(path: Path) -> Table:
     with _readable(path, "a table"):
         with path.open(encoding="utf-8-sig", newline="") as stream:
             before = list(islice((line[:1_000_000] for line in stream), _MOST_BEFORE))
         if any("\0" in line for line in before):
             raise RecordingError("is no text; save it as CSV in UTF-8, or give a bag", path)
+        first = first_of(before)
+        if is_echo(first):
+            return _EchoTable(path)
+        if names_are_numbers(first):
+            raise RecordingError(only_numbers("numbers"), path)
         return _TextTable(path, *_head(before, path))
 
 

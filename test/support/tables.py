@@ -230,3 +230,31 @@ def parquet(path: Path, found: Recorded) -> Path:
     }
     pq.write_table(pa.table(columns), path)
     return path
+
+
+def echoed(recorded: Recorded, fields: Sequence[str] = FIELDS, frame: str = "") -> str:
+    """As `ros2 topic echo --csv` prints joint states: no header, and one empty cell for an array without entries."""
+    lines = []
+    for row, time_ns in enumerate(recorded.times_ns.tolist()):
+        cells = [str(time_ns // 10**9), str(time_ns % 10**9), frame, *recorded.joints]
+        for field in FIELDS:
+            values = getattr(recorded, field)[row].tolist()
+            cells += [str(value) for value in values] if field in fields else [""]
+        lines.append(",".join(cells))
+    return "\n".join(lines) + "\n"
+
+
+def plotted(recorded: Recorded, fields: Sequence[str] = FIELDS, names: bool = True) -> str:
+    """As `rostopic echo -p` of ROS 1 prints them: entries of arrays are numbered in the header."""
+    count = len(recorded.joints)
+    header = ["%time", "field.header.seq", "field.header.stamp"]
+    if names:
+        header += ["field.header.frame_id", *(f"field.name{number}" for number in range(count))]
+    header += [f"field.{field}{number}" for field in fields for number in range(count)]
+    lines = [",".join(header)]
+    for row, time_ns in enumerate(recorded.times_ns.tolist()):
+        cells = [str(time_ns), str(row), str(time_ns)]
+        cells += ["", *recorded.joints] if names else []
+        cells += [str(value) for field in fields for value in getattr(recorded, field)[row]]
+        lines.append(",".join(cells))
+    return "\n".join(lines) + "\n"
