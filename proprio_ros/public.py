@@ -48,6 +48,7 @@ MODULES: dict[str, tuple[str, ...]] = {
         "robot_calibration",
         "robot_unknowns",
         "solvers",
+        "together",
         "unknowns",
     ),
     "inputs": (

@@ -51,6 +51,11 @@ SHARED: dict[str, dict[str, Any]] = {
         "help": "-1 where `effort` has the sign of the torque that gravity makes, not of what holds against it, for all joints or "
         "for those named; 1 undoes what a profile or the robot file says; never turned unasked",
     },
+    "device": {
+        "default": "cpu",
+        "choices": ("cpu", "cuda"),
+        "help": "where fits from every start are computed; cuda: an NVIDIA graphics card",
+    },
     "force": {"action": "store_true", "help": "replace an older file of that name, whatever it is"},
     "domain": {
         "type": int,
@@ -162,7 +167,7 @@ def _replay(add: Callable[..., Parser]) -> None:
     it.add_argument(
         "--profile", default="default", choices=profiles, help="paper: the paper's own method"
     )
-    it.share(*TOPICS)
+    it.share("device", *TOPICS)
     it.add_argument(
         "--span",
         metavar="FROM:TO",

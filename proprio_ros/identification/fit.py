@@ -30,6 +30,7 @@ from proprio_ros.identification.robot_unknowns import (
     DRIVE_TERMS,
     load_unknowns,
 )
+from proprio_ros.identification.together import can_go_together, descend, rules
 from proprio_ros.identification.unknowns import (
     Role,
     Unknown,
@@ -39,6 +40,7 @@ from proprio_ros.kinds import Key, key_of, label_of
 from proprio_ros.quantity import Z95
 from proprio_ros.robot import Robot
 from proprio_ros.sim.payload import PayloadFacts
+from proprio_ros.sim.runtime import device_named
 
 ENCODER, CALIBRATION = "encoder", "calibration"
 """Sources of uncertainty that are no unknown: noise of the readings, and what a calibration left correlated."""
@@ -79,12 +81,18 @@ class SearchOptions:
     step_s: float = 1.0 / 240.0
     # first guesses, two orders of magnitude apart
     starts_kg: tuple[float, ...] = (0.005, 0.016, 0.05, 0.16, 0.5)
+    device: str = "cpu"  # where fits from every start are computed
 
     def __post_init__(self) -> None:
         if self.solver not in solvers.SOLVERS:
             raise ConfigurationError(
                 f"--solver {self.solver}: choose one of {', '.join(solvers.SOLVERS)}"
             )
+        if self.device != "cpu" and self.solver != "lm":
+            raise ConfigurationError(
+                f"--device {self.device} goes with --solver lm: leave one of them out"
+            )
+        device_named(self.device)
 
 
 @dataclass(frozen=True)
@@ -223,14 +231,19 @@ def solve_load(
     if options.solver == "lm" or start is not None:
         windows = problem.simulator.windows if start is None else None
         iterations, tolerance = (10, 0.03) if rough else (30, 1e-4)
-        solution = solvers.levenberg_marquardt(
-            problem,
-            starts,
-            windows,
-            iterations=iterations,
-            tolerance=tolerance,
-            persistent=not rough,
-        )
+        if options.device != "cpu" and windows is not None and can_go_together(problem):
+            solution = descend(
+                problem, starts, options.device, rules(iterations, tolerance, not rough)
+            )
+        else:
+            solution = solvers.levenberg_marquardt(
+                problem,
+                starts,
+                windows,
+                iterations=iterations,
+                tolerance=tolerance,
+                persistent=not rough,
+            )
     elif options.solver == "adam":
         solution = solvers.adam(problem, starts)
     else:

@@ -63,6 +63,9 @@ SEARCH: dict[str, Form] = {
     "solver.integrator": Choice(
         "semi_implicit: the paper's equation (2)", ("rk4", "semi_implicit")
     ),
+    "solver.device": Choice(
+        "where fits from every start are computed; cuda is a graphics card", ("cpu", "cuda")
+    ),
     # a run of a second takes 1e4 steps of the shortest; at the longest, no integrator knows what an arm does
     "solver.step_s": Number("longest step of the simulation", "s", 1e-4, 0.02),
     "solver.widest_relative": Number(

@@ -47,6 +47,7 @@ class Options:
     # dotted keys of the probe file, ``held.JOINT``, and ``robot.`` keys of the robot file, with plain values
     settings: Mapping[str, Any] = field(default_factory=dict)
     solver: str = "lm"
+    device: str = "cpu"  # where a probe's fits from every start are computed, if it can choose
     profile: str = "default"
     calibration: str | Path | None = None  # what ``proprio calibrate`` wrote
     # recordings of the same robot made with the others: with nothing in the hand, or for the probe `container` with the
@@ -154,6 +155,8 @@ class Request:
 def request_of(options: Options) -> Request:
     """Read what is asked about an object; raises as `read_request` does."""
     probe = probe_asked_for(options)
+    if options.device != "cpu":
+        options = replace(options, settings={**options.settings, "solver.device": options.device})
     return read_request(
         options, lambda settings: probe.facts(settings, options.solver, options.profile)
     )
@@ -191,11 +194,12 @@ def facts_of(
 
 
 def probe_asked_for(options: Options) -> Probe[Any]:
-    """The probe that the options name; ConfigurationError: there is none, or it lacks their solver or profile."""
+    """The probe that the options name; ConfigurationError: there is none, or it lacks their solver, profile or device."""
     probe = probe_named(options.probe)
     for flag, given, default in (
         ("solver", options.solver, "lm"),
         ("profile", options.profile, "default"),
+        ("device", options.device, "cpu"),
     ):
         there = {each.name: getattr(each, f"{flag}s", (default,)) for each in all_probes()}
         having = [name for name, choices in there.items() if given in choices]

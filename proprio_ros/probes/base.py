@@ -215,10 +215,11 @@ class TakesMotions(Probe[Facts]):
 
 
 class HasSolvers(Probe[Facts]):
-    """More than one way to its answer: solvers and profiles that ``replay`` may be asked for."""
+    """More than one way to its answer: solvers, profiles and devices that ``replay`` may be asked for."""
 
     solvers: ClassVar[tuple[str, ...]] = ("lm",)
     profiles: ClassVar[tuple[str, ...]] = ("default",)
+    devices: ClassVar[tuple[str, ...]] = ("cpu",)
 
 
 class HasBaseline(Probe[Facts]):

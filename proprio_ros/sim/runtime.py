@@ -51,9 +51,9 @@ def device_named(name: str) -> str:
 
     Raises `ConfigurationError`: It is not there.
     """
-    check()
     if name == "cpu":
         return name
+    check()
     if name.partition(":")[0] != "cuda":
         raise ConfigurationError(f"--device {name}: choose cpu or cuda")
     there = ["cuda", *(f"cuda:{number}" for number in range(wp.get_cuda_device_count()))]

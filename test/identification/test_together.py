@@ -2,21 +2,26 @@
 
 from __future__ import annotations
 
+import itertools
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
 import warp as wp
 
-from proprio_ros.errors import ConfigurationError
+from proprio_ros.errors import ConfigurationError, RecordingError
 from proprio_ros.identification.fit import SearchOptions, first_problem
 from proprio_ros.identification.prepared_runs import prepare_run
 from proprio_ros.identification.problem import Problem
 from proprio_ros.identification.robot_calibration import LoadedRun, calibrate
 from proprio_ros.identification.solvers import Solution, levenberg_marquardt
 from proprio_ros.identification.together import (
+    Meeting,
     affine_fit,
     can_go_together,
+    descend,
     descend_together,
     rules,
 )
@@ -150,6 +155,42 @@ def test_what_bends_goes_alone(posed: list[Posed]) -> None:
     assert not can_go_together(opened)
 
 
+def test_a_meeting_fits_what_all_want_together(posed: list[Posed], found: list[Solution]) -> None:
+    """Pieces of work that fit once, twice, never or break: each gets its own, and nobody waits for who has left."""
+
+    def fitted(*rows: int) -> list[Solution]:
+        return [descend(*posed[row], "cpu", rules()) for row in rows]
+
+    def refused() -> list[Solution]:
+        raise RecordingError("nothing in it")
+
+    def judged(work: Callable[[], list[Solution]]) -> list[Solution]:
+        try:
+            return work()
+        except RecordingError:
+            return []
+
+    works = [partial(fitted, 0), refused, partial(fitted, 1, 2), fitted, partial(fitted, 3, 0)]
+    results = Meeting().results([partial(judged, work) for work in works])
+    assert [len(result) for result in results] == [1, 0, 2, 0, 2]
+    for row, solution in zip((0, 1, 2, 3, 0), itertools.chain(*results), strict=True):
+        np.testing.assert_array_equal(solution.internal, found[row].internal)
+
+
+def test_what_cannot_be_fitted_is_an_error_of_its_own(posed: list[Posed]) -> None:
+    problem, starts = posed[0]
+    too_wide = np.concatenate([starts, starts], axis=1)
+
+    def fitted(first: np.ndarray) -> str:
+        try:
+            return str(descend(problem, first, "cpu", rules()).iterations)
+        except ValueError as error:
+            return str(error)
+
+    said, iterations = Meeting().results([partial(fitted, too_wide), partial(fitted, starts)])
+    assert "shapes" in said and int(iterations) > 3
+
+
 def test_a_card_that_is_not_there() -> None:
     if wp.get_cuda_device_count():
         pytest.skip("there is a card")
@@ -160,6 +201,10 @@ def test_a_card_that_is_not_there() -> None:
     with pytest.raises(ConfigurationError, match="choose cpu or cuda"):
         runtime.device_named("gpu")
     assert runtime.device_named("cpu") == "cpu"
+    with pytest.raises(ConfigurationError, match="no CUDA device: "):
+        SearchOptions(device="cuda")
+    with pytest.raises(ConfigurationError, match="goes with --solver lm"):
+        SearchOptions(device="cuda", solver="adam")
 
 
 @pytest.mark.skipif(not wp.get_cuda_device_count(), reason="needs a graphics card")

@@ -59,10 +59,7 @@ def add_parser(add: Callable[..., Parser]) -> None:
     it.add_argument(
         "--address", metavar="HOST:PORT", help="of the Ray cluster (default the one that runs here)"
     )
-    it.add_argument(
-        "--device", default="cpu", choices=("cpu", "cuda"), help="cuda is refused for now"
-    )
-    it.share("json")
+    it.share("device", "json")
 
 
 def batch(options: argparse.Namespace, given: Sequence[str]) -> int:
@@ -77,10 +74,9 @@ def batch(options: argparse.Namespace, given: Sequence[str]) -> int:
                 f"--{flag} goes with --engine {engine}: add that, or leave it out"
             )
     asked = asked_options(options)
-    from proprio_ros.addons.fleet.job import refuse_device, run_batch
+    from proprio_ros.addons.fleet.job import run_batch
     from proprio_ros.addons.fleet.rows import Job
 
-    refuse_device(options.device)
     outcome = run_batch(
         options.sources,
         Job(asked, options.grasps),

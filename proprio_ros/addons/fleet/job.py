@@ -439,15 +439,3 @@ def _located(options: Options) -> Options:
         calibration=absolute(options.calibration),
         driver=absolute(options.driver),
     )
-
-
-def refuse_device(device: str) -> None:
-    """Raises: ConfigurationError: It is anything but the processor, which is all that the engines have."""
-    if device != "cpu":
-        there = any(Path("/dev").glob("nvidia[0-9]*"))
-        why = (
-            "a batch runs on the processor only for now"
-            if there
-            else "there is no NVIDIA GPU on this machine"
-        )
-        raise ConfigurationError(f"--device {device}: {why}; leave it out")

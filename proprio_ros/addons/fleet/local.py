@@ -23,6 +23,7 @@ from proprio_ros.addons.fleet.store import PARTITION, Store, chunk_id, chunks_of
 from proprio_ros.threads import pool_of
 
 CHUNK = 64  # episodes per file, at most
+TOGETHER = 512  # of those whose fits share a launch on a graphics card
 TELL_S = 5.0
 TRIES = 3
 
@@ -95,9 +96,10 @@ def run_local(
         tell: Hears how far it is.
         most: Episodes per file at most.
     """
-    waiting = deque(
-        _Chunk(group) for group in chunks_of(episodes, chunk_size(len(episodes), processes, most))
-    )
+    size = chunk_size(len(episodes), processes, most)
+    if job.options.device != "cpu":
+        size = min(TOGETHER, -(-len(episodes) // processes))
+    waiting = deque(_Chunk(group) for group in chunks_of(episodes, size))
     began = time.monotonic()
     finished = 0
     failed = 0

@@ -7,6 +7,7 @@ import json
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ from proprio_ros.addons.fleet.grasps import Grasp, Grasps
 from proprio_ros.errors import ProprioError, RecordingError, RobotError, of_the_machine, one_line
 from proprio_ros.identification.estimate import Estimate, Value
 from proprio_ros.identification.regression.at_rest import check_carriers
+from proprio_ros.identification.together import Meeting
 from proprio_ros.pipeline.replay import identify, read_for
 from proprio_ros.pipeline.request import Options, Request, request_of
 from proprio_ros.probes.base import Online, Recorded
@@ -111,8 +113,11 @@ def lasting(rows: Sequence[Row]) -> list[Row]:
 
 @one_blas_thread
 def rows_of_all(episodes: Sequence[Episode], job: Job) -> list[Row]:
-    """The same of some episodes; the threads are limited once."""
-    return [row for episode in episodes for row in rows_of(episode, job)]
+    """The same of some episodes; the threads are limited once, and on a graphics card their fits share a launch."""
+    if job.options.device == "cpu":
+        return [row for episode in episodes for row in rows_of(episode, job)]
+    rows = Meeting().results([partial(rows_of, episode, job) for episode in episodes])
+    return [row for of_one in rows for row in of_one]
 
 
 def spans_of(

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import TYPE_CHECKING
 
-from proprio_ros.errors import RecordingError, TooLittleMotion
+from proprio_ros.errors import ConfigurationError, RecordingError, TooLittleMotion
 from proprio_ros.inputs.settings import Settings, probe_file
 from proprio_ros.kinds import Kind
 from proprio_ros.probes import base
@@ -59,6 +59,7 @@ class Payload(
     virtual_object = VirtualPayload
     solvers = ("lm", "adam", "cma")
     profiles = ("default", "paper")
+    devices = ("cpu", "cuda")
     example = base.Example(
         help="of the object in the virtual hand", truth=0.05, held="{truth:g}",
         now="now something is in its hand", was="the virtual hand held", takes="under a minute",
@@ -87,6 +88,10 @@ class Payload(
         weighing = replace(
             settings.options(WeighingOptions, "solver.", defaults["solver"]), solver=solver
         )
+        if profile == "paper" and weighing.device != "cpu":
+            raise ConfigurationError(
+                f"--device {weighing.device} is not there for --profile paper; leave it out"
+            )
         paper = settings.options(PaperOptions, "paper.", defaults["paper"])
         return PayloadJob(
             payload, weighing, paper if profile == "paper" else None, frozenset(settings.taken)

@@ -951,7 +951,7 @@ def test_the_command_says_what_is_wrong_before_it_begins(
     for arguments, pattern in (
         ([str(fleet / "nowhere"), *out], "no such file or folder"),
         ([str(fleet / "data" / "v3"), *out], "does not say what its positions"),
-        ([str(fleet / "data"), *out, "--device", "cuda"], "--device cuda: "),
+        ([str(fleet / "data"), *out, "--device", "cuda"], "--device cuda: no CUDA device: "),
         ([str(fleet / "data"), *out, "--address", "x:1"], "--address goes with --engine ray"),
         ([str(fleet / "data"), *out, "--empty", "a", "--empty-first", "5"], "give one of them"),
         ([str(fleet / "data"), *out, "--calibration", "no.yaml"], "no.yaml"),
