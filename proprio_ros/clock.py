@@ -34,6 +34,15 @@ class Thread(Protocol):
     def is_alive(self) -> bool: ...
 
 
+class Lock(Protocol):
+    """As `threading.Lock`."""
+
+    def acquire(self, blocking: bool = True) -> bool: ...
+    def release(self) -> None: ...
+    def __enter__(self) -> bool: ...
+    def __exit__(self, *_: Any) -> None: ...
+
+
 class Clock:
     """The machine's time, and all that waits for it. A simulation brings its own (`use`), and plays hours in seconds."""
 
@@ -47,7 +56,7 @@ class Clock:
     def event(self) -> Event:
         return threading.Event()
 
-    def lock(self) -> contextlib.AbstractContextManager[bool]:
+    def lock(self) -> Lock:
         return threading.Lock()
 
     def thread(
@@ -73,17 +82,14 @@ class Clock:
         with contextlib.suppress(OSError, AttributeError):
             os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), 5)
 
-    def come_before_others(self) -> bool:
-        """This thread computes what is of use only at once: it comes right after what measures and hears.
+    def come_before_others(self, which: Collection[int] = ()) -> bool:
+        """This thread, or these (`threads`), come before other programs, which have their share; returns whether it was granted.
 
-        Whoever calls it takes a small part of the time (`Share`). Returns whether that was granted; see `run_in_real_time`.
+        Linux grants it to root and within the limit `nice`. Whoever calls it takes a small part of the time (`Share`).
         """
-        try:
-            policy = os.SCHED_RR | os.SCHED_RESET_ON_FORK
-            os.sched_setscheduler(threading.get_native_id(), policy, os.sched_param(1))
-        except (OSError, AttributeError):
-            return False
-        return True
+        numbers = which or [threading.get_native_id()]
+        granted = [_raised(number) for number in numbers]
+        return all(granted)
 
 
 _clock = Clock()
@@ -117,7 +123,7 @@ def event() -> Event:
     return _clock.event()
 
 
-def lock() -> contextlib.AbstractContextManager[bool]:
+def lock() -> Lock:
     """As `threading.Lock`, on this clock."""
     return _clock.lock()
 
@@ -145,9 +151,19 @@ def come_after_others() -> None:
     _clock.come_after_others()
 
 
-def come_before_others() -> bool:
-    """Of a thread that must not be late, see `Clock.come_before_others`."""
-    return _clock.come_before_others()
+def come_before_others(which: Collection[int] = ()) -> bool:
+    """Of threads that must not be late, see `Clock.come_before_others`."""
+    return _clock.come_before_others(which)
+
+
+def _raised(number: int) -> bool:
+    try:
+        os.setpriority(os.PRIO_PROCESS, number, BEFORE_OTHERS)
+    except ProcessLookupError:
+        return True  # it has just ended
+    except (OSError, AttributeError):
+        return False
+    return True
 
 
 @dataclass
@@ -195,6 +211,9 @@ class Pacer:
         return late
 
 
+REAL_TIME = 10  # priority in that class
+BEFORE_OTHERS = -10
+"""Of a scale that goes to -20: of a core that others want, too, it has nine tenths where it needs them."""
 LEAST_PAUSE_S = 0.005  # shorter ones cost more than they give
 LONGEST_SPIN_S = 0.5
 """A thread in real time that computes for so long without a pause has gone wrong, and would starve everything else."""
@@ -207,11 +226,10 @@ def threads() -> set[int]:
     )
 
 
-def run_in_real_time(only: Collection[int] = ()) -> bool:
-    """Ask the system to run this process as soon as it can, before others; returns whether that was granted.
+def run_in_real_time() -> bool:
+    """Ask the system to run this process as soon as it can, before all others; returns whether that was granted.
 
-    Of a process that also computes, ``only`` some threads (`threads`): then those that they make are like any other program's.
-
+    It is for whoever keeps an arm up, since ten programs that have it leave nothing to anybody else; others `come_before_others`.
     Linux grants it to root and within the limit `rtprio`; without it, work on the same cores makes stamps less exact (with three
     busy programs on two cores a cycle in a hundred begins 5 ms late, instead of 0.1 ms). Call it when everything is imported and
     read: whoever still starts would keep the others from a core. Threads made later inherit it. Called in the main thread, it
@@ -220,12 +238,11 @@ def run_in_real_time(only: Collection[int] = ()) -> bool:
     that spin until another has gone on kept that one from every core, for good.
     """
     try:
-        policy, priority = (os.SCHED_RR | os.SCHED_RESET_ON_FORK, 5) if only else (os.SCHED_RR, 10)
-        os.sched_setscheduler(0, policy, os.sched_param(priority))
+        os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(REAL_TIME))
     except (OSError, AttributeError):
         return False
     if threading.current_thread() is threading.main_thread():
-        _schedule(only or threads(), policy, priority)
+        _schedule(threads(), os.SCHED_RR, REAL_TIME)
         signal.signal(signal.SIGXCPU, lambda *_: _end_spinning())
         hard = resource.getrlimit(resource.RLIMIT_RTTIME)[1]
         microseconds = round(1e6 * LONGEST_SPIN_S)

@@ -3,8 +3,10 @@
 Every joint is either *held* (its servo keeps a position) or *driven* (a constant current). A joint is driven only while fresh
 commands come; without one (``command_timeout_s``), or when a limit or the table is reached, it is held where it is, or its current
 is zero where ``on_timeout`` says so. Goals are written anew in every
-cycle, since a sync write that is lost on the wire is lost without a word. When this process dies, the servos' own watchdog ends
-the current.
+cycle, since a sync write that is lost on the wire is lost without a word. When this process dies, the servos' own watchdogs end
+the current: that of a driven joint soon, those of held joints later, so that a pause of this process drops nothing.
+
+A cycle waits for no other thread: what one is about to ask for while it is not run counts in a later cycle.
 
 Whoever drives holds a *lease*: it begins with a current that is not zero and lasts while the same sender's commands are fresh;
 others are refused meanwhile. A current of zero lets go of a joint only where the lease has driven it before.
@@ -12,11 +14,13 @@ others are refused meanwhile. A current of zero lets go of a joint only where th
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
+from proprio_ros.bus.control_table import BUS_WATCHDOG_UNIT_S
 from proprio_ros.bus.dynamixel import DynamixelBus, Reading, ServoHealth
 from proprio_ros.bus.state import (
     ArmSample,
@@ -51,7 +55,10 @@ class DriverSettings:
     command_timeout_s: float = 0.1
     # ``hold`` keeps it where it is then, ``zero`` leaves it without current
     on_timeout: str = "hold"
-    watchdog_s: float = 0.3  # the servos stop by themselves after so much silence; 0 turns that off
+    # the servo of a driven joint stops by itself after so much silence; 0 turns that off
+    watchdog_s: float = 0.3
+    # the servo of a held joint: longer, since what it holds would fall; 0 turns that off
+    hold_watchdog_s: float = 2.0
     limit_margin_rad: float = 0.05  # a joint is not driven nearer to its limit than this
     # nothing is brought nearer to the base's plane, the table, than this
     min_clearance_m: float = 0.0
@@ -99,6 +106,10 @@ class ArmDriver:
         self._hold_wanted = False
         self._stop_wanted = False
         self._driving = False
+        # by joint, what its servo's watchdog is set to, and those that are about to be driven
+        self._patience_s: dict[str, float] = {}
+        self._to_drive: set[str] = set()
+        self._written_at_s = -np.inf
         self.slipped = False
         self._torque_wanted: bool | None = None
         self._torque_set = event()
@@ -309,6 +320,7 @@ class ArmDriver:
             return None
         try:
             self._obey_requests()
+            self._look_after_silence()
             reading, timely = self._read()
             now = self._clock()
             sample = None
@@ -326,6 +338,7 @@ class ArmDriver:
             if reading is not None and timely:
                 sample = self._sample(reading)
             self.statistics.untimely += reading is not None and not timely
+            self._set_watchdogs()
             self._look_after_health(now)
             return sample
         except BusError as error:
@@ -373,9 +386,9 @@ class ArmDriver:
 
     def _hold_here(self) -> None:
         """Torque on, every joint held at its present position."""
-        self.bus.prepare(
-            watchdog_s=self.settings.watchdog_s, position_d_gain=self.settings.position_d_gain
-        )
+        held_s = self.settings.hold_watchdog_s
+        self.bus.prepare(watchdog_s=held_s, position_d_gain=self.settings.position_d_gain)
+        self._patience_s = dict.fromkeys(self._joints, held_s)
         for _ in range(5):
             reading = self.bus.read_states()
             if len(reading.states) == len(self._joints):
@@ -391,8 +404,7 @@ class ArmDriver:
             goals[servo.joint] = servo.model.angle_rad(counts)
         # a hot servo must not be driven before its turn comes
         self.health = {servo.joint: self.bus.health(servo.id) for servo in self.bus.servos}
-        with self._lock:
-            self._drop_commands()  # but not a stop that came meanwhile
+        self._drop_commands()  # but not a stop that came meanwhile
         self._alerts.clear()
         self._driving = False
         self._limp = False
@@ -413,11 +425,15 @@ class ArmDriver:
         self._write_goals()
 
     def _obey_requests(self) -> None:
-        with self._lock:
+        if not self._lock.acquire(blocking=False):
+            return  # somebody is just asking, and may not be run for a while
+        try:
             stop = self._stop_wanted
             self._stop_wanted = False
             torque = self._torque_wanted
             self._torque_wanted = None
+        finally:
+            self._lock.release()
         if stop and self.state is BusState.RUNNING:
             self.state = BusState.STOPPED
             self.reason = "the current is zero; ~/torque true holds the arm again"
@@ -432,9 +448,8 @@ class ArmDriver:
             else:
                 self._release()
         finally:
-            with self._lock:
-                if self._torque_wanted is None:  # not asked for once more meanwhile
-                    self._torque_set.set()
+            if self._torque_wanted is None:  # not asked for once more meanwhile
+                self._torque_set.set()
 
     def _read(self) -> tuple[Reading | None, bool]:
         """All servos' answers, asked for twice if need be, and whether the instant of their stamp can be trusted."""
@@ -479,25 +494,16 @@ class ArmDriver:
                     joint.hold()
                 joint.blocked = problem
             self.reason = f"{problem}; ~/torque true goes on" if self.slipped else problem
-            with self._lock:
-                self._targets.clear()
+            self._targets.clear()
 
     def _decide(self, now: float, seen: bool, timely: bool) -> None:
         """What every joint does until the next cycle."""
         if self.state is not BusState.RUNNING:
             return
-        with self._lock:
-            command = self._command
-            targets = self._targets
-            self._targets = {}
-            hold = self._hold_wanted
-            self._hold_wanted = False
-            if command is not None and now - command.arrived_s > self.settings.command_timeout_s:
-                command = None
-                self._command = None
-                self._since_s = now
+        command, targets, hold = self._requests(now)
         currents = {} if command is None else command.current_A
         timed_out = command is None and self._driving
+        self._to_drive = set()
         for joint in self._joints.values():
             current_A = currents.get(joint.name)
             driven = joint.mode is JointMode.DRIVEN
@@ -521,6 +527,29 @@ class ArmDriver:
         if seen:
             self._advance_goals()
 
+    def _requests(self, now: float) -> tuple[CurrentCommand | None, dict[str, float], bool]:
+        """The current command, new targets, and whether to hold.
+
+        While another thread has the lock the last command counts, to its deadline, and all else waits.
+        """
+        command = self._command
+        if command is not None and command.arrived_s < self._since_s:
+            command = None  # it was about to come when all commands were dropped
+        late = command is not None and now - command.arrived_s > self.settings.command_timeout_s
+        if not self._lock.acquire(blocking=False):
+            return None if late else command, {}, False
+        try:
+            targets = {} if self.slipped else self._targets
+            self._targets = {}
+            hold = self._hold_wanted
+            self._hold_wanted = False
+            if late and command is self._command:
+                self._command = None
+                self._since_s = now
+        finally:
+            self._lock.release()
+        return None if late else command, targets, hold
+
     def _end_push(self, joint: DrivenJoint, timed_out: bool) -> None:
         """No current is commanded for a joint any more."""
         if timed_out and self.settings.on_timeout == "zero":
@@ -540,6 +569,10 @@ class ArmDriver:
             if joint.mode is JointMode.DRIVEN:
                 joint.hold()
             return
+        if joint.mode is not JointMode.DRIVEN:
+            self._to_drive.add(joint.name)
+            if self._patience_s.get(joint.name) != self.settings.watchdog_s:
+                return  # in the next cycle, when its servo would stop soon without us
         joint.mode = JointMode.DRIVEN
         joint.commanded_A = joint.model.current_A(joint.model.counts_of_current(current_A))
 
@@ -586,6 +619,42 @@ class ArmDriver:
             return
         stopped = self.state is BusState.STOPPED
         self.bus.write_goals({name: joint.goal(stopped) for name, joint in self._joints.items()})
+        self._written_at_s = self._clock()
+
+    def _look_after_silence(self) -> None:
+        """This process was not run for so long that servos may have stopped by themselves: hold the arm at once."""
+        silent_s = self._clock() - self._written_at_s
+        set_s = [patience for patience in self._patience_s.values() if patience > 0.0]
+        soonest_s = min(set_s, default=np.inf) - BUS_WATCHDOG_UNIT_S
+        if self.state is not BusState.RUNNING or silent_s < soonest_s:
+            return
+        tripped = [servo.joint for servo in self.bus.servos if self.bus.has_stopped(servo.id)]
+        if tripped:
+            words = f"{', '.join(tripped)}: stopped by the watchdog, since the driver was not run for {silent_s:.2f} s"
+            self._log("warning", f"{words}; held again")
+            self._hold_here()
+
+    def _set_watchdogs(self) -> None:
+        """Before a joint is driven its servo is told to stop soon without us; while none is, held ones may wait longer."""
+        if self.state is not BusState.RUNNING:
+            return
+        soon_s = self.settings.watchdog_s
+        later_s = self.settings.hold_watchdog_s
+        wanted_s = dict.fromkeys(self._to_drive, soon_s)
+        if not self._driving and not wanted_s:
+            wanted_s = dict.fromkeys(self._joints, later_s)
+        for servo in self.bus.servos:
+            patience_s = wanted_s.get(servo.joint, self._patience_s[servo.joint])
+            if patience_s == self._patience_s[servo.joint]:
+                continue
+            try:
+                self.bus.set_watchdog(servo.id, patience_s)
+            except PortLostError:
+                raise
+            except BusError as error:  # a joint that is to be driven waits for it
+                self._log("warning", str(error))
+                return
+            self._patience_s[servo.joint] = patience_s
 
     def _sample(self, reading: Reading) -> ArmSample:
         joints = self._joints.items()
@@ -627,6 +696,7 @@ class ArmDriver:
     def _lost(self, error: BusError) -> None:
         """The bus is gone: the servos' own watchdog ends every current; try again from the start."""
         self.statistics.reconnects += 1
+        self._end_pushes()
         self.bus.close()
         self._limp = self.state in (BusState.STOPPED, BusState.RELEASED)
         self.state = BusState.DISCONNECTED
@@ -636,6 +706,15 @@ class ArmDriver:
             joint.mode = JointMode.HELD
             joint.commanded_A = 0.0
         self._log("error", f"{error}; trying again every {self.settings.reconnect_s:g} s")
+
+    def _end_pushes(self) -> None:
+        """Nothing is driven any more; where one servo alone is silent the others still hear it, and no answer is waited for."""
+        for joint in self._joints.values():
+            if joint.mode is JointMode.DRIVEN:
+                joint.hold()
+        if self.bus.is_open and self.state is not BusState.DISCONNECTED:
+            with contextlib.suppress(BusError):
+                self._write_goals()
 
     def close(self, hold: bool = False) -> None:
         """End: current zero and torque off, or with ``hold`` the arm held by its servos alone, their watchdog off."""

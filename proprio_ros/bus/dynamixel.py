@@ -358,12 +358,16 @@ class DynamixelBus:
             self._set(servo, "position_d_gain", position_d_gain)
             if self.read(servo.id, "torque_enable") == 0:
                 self.write(servo.id, "torque_enable", 1)
-            units = round(watchdog_s / control_table.BUS_WATCHDOG_UNIT_S)
-            self.write(
-                servo.id,
-                "bus_watchdog",
-                min(max(units, 1), 127) if watchdog_s > 0.0 else 0,
-            )
+            self.set_watchdog(servo.id, watchdog_s)
+
+    def set_watchdog(self, servo_id: int, watchdog_s: float) -> None:
+        """Have a servo stop by itself when the bus is silent for so long; 0: never."""
+        units = round(watchdog_s / control_table.BUS_WATCHDOG_UNIT_S)
+        self.write(servo_id, "bus_watchdog", min(max(units, 1), 127) if watchdog_s > 0.0 else 0)
+
+    def has_stopped(self, servo_id: int) -> bool:
+        """Whether its watchdog has stopped a servo."""
+        return self.read(servo_id, "bus_watchdog") == control_table.BUS_WATCHDOG_TRIPPED
 
     def _set(self, servo: BusServo, register: str, value: int) -> None:
         """Write what differs: EEPROM wears out, and a write costs as much as a read."""
@@ -422,7 +426,7 @@ class DynamixelBus:
             float(self.read(servo_id, "present_temperature")),
             self.read(servo_id, "present_input_voltage") * model.voltage_unit_V,
             control_table.hardware_errors(self._twice(servo_id, "hardware_error_status")),
-            self.read(servo_id, "bus_watchdog") == control_table.BUS_WATCHDOG_TRIPPED,
+            self.has_stopped(servo_id),
         )
 
     def _twice(self, servo_id: int, register: str) -> int:

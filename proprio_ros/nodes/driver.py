@@ -35,7 +35,7 @@ class DriverNode(ManagedNode):
     """Publishes what the servos report, and passes commands on to them, inside the limits."""
 
     parameters = DRIVER
-    real_time = True
+    urgent = True
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("driver", **kwargs)
@@ -49,6 +49,10 @@ class DriverNode(ManagedNode):
     @property
     def pause_s(self) -> float:
         return 0.001
+
+    @property
+    def real_time(self) -> bool:
+        return bool(self.values["real_time"])
 
     def configure(self) -> None:
         values = self.values

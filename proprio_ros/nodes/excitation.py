@@ -60,7 +60,12 @@ class ExcitationNode(ManagedNode):
 
     parameters = EXCITATION
 
-    real_time = True
+    urgent = True
+
+    @property
+    def real_time(self) -> bool:
+        # behind this package's driver, and behind a position controller, the arm stays where it is without this node
+        return bool(self.values["real_time"]) and self.values["command_interface"] == "effort"
 
     @property
     def pause_s(self) -> float:
@@ -156,7 +161,9 @@ class ExcitationNode(ManagedNode):
             load_sequence(DEFAULT_PROBE, self._robot)
         switching = switching_of(self, commands.topic_name)
         speaker = LastWords(
-            commands.topic_name, None if switching is None else switching.controllers
+            commands.topic_name,
+            None if switching is None else switching.controllers,
+            self.real_time,
         )
         output = ControllerOutput(self, controller, commands, applied, speaker)
         if switching is not None:

@@ -195,7 +195,7 @@ class IdentifierNode(ManagedNode):
 
     def _start(self) -> None:
         """Be there for others."""
-        self.hear_in_real_time()
+        self.hear_before_others()
         missing = self._missing()
         running = self.weighing.begin()
         if running:

@@ -40,6 +40,7 @@ AGAIN = 6
 START_S = 60.0
 FOUND_S = 4.0  # who uses DDS announces itself every 3 s, should the first words be lost
 SWITCHED = "switched"
+REAL_TIME = "real_time"
 HEARD = b"+"
 UNHEARD = b"-"
 SWITCH_S = 5.0  # for so long whoever speaks for a node that is gone waits for controller_manager
@@ -48,16 +49,24 @@ SWITCH_S = 5.0  # for so long whoever speaks for a node that is gone waits for c
 class LastWords:
     """The other process, as the node sees it: told the controller's topic, and the controllers that are switched back.
 
+    Args:
+        topic: Where the controller listens.
+        controllers: Those that are switched back; none where nobody switches.
+        real_time: Whether it takes a real-time class.
+
     Attributes:
         engaged: Whether they were switched.
 
     Raises `ConfigurationError`: It does not start.
     """
 
-    def __init__(self, topic: str, controllers: Controllers | None = None) -> None:
+    def __init__(
+        self, topic: str, controllers: Controllers | None = None, real_time: bool = True
+    ) -> None:
         self.engaged = False
-        switched = [] if controllers is None else [json.dumps(asdict(controllers))]
-        command = [sys.executable, "-m", "proprio_ros.nodes.last_words", topic, *switched]
+        switched = "" if controllers is None else json.dumps(asdict(controllers))
+        urgent = [REAL_TIME] if real_time else []
+        command = [sys.executable, "-m", "proprio_ros.nodes.last_words", topic, switched, *urgent]
         # a session of its own: Ctrl-C is for the node alone, which then ends in order
         self._process = subprocess.Popen(
             command, 0, stdin=subprocess.PIPE, stdout=subprocess.PIPE, start_new_session=True
@@ -215,7 +224,7 @@ class _Speaker:
             rclpy.spin_until_future_complete(self.node, future, timeout_sec=SWITCH_S)
 
 
-def main(topic: str, switched: str = "") -> int:
+def main(topic: str, switched: str = "", urgent: str = "") -> int:
     """The other process; returns when the node has ended."""
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, signal.SIG_IGN)  # it ends with the node
@@ -223,7 +232,8 @@ def main(topic: str, switched: str = "") -> int:
     speaker = _Speaker(topic, switched)
     sys.stdout.write(f"ready {' '.join(speaker.endpoints(topic))}\n")
     sys.stdout.flush()
-    run_in_real_time()
+    if urgent == REAL_TIME:
+        run_in_real_time()
     speaker.listen()
     speaker.end()
     rclpy.shutdown()

@@ -13,7 +13,7 @@ from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackRet
 from rclpy.qos import QoSProfile
 
 from proprio_ros import clock
-from proprio_ros.clock import run_in_real_time
+from proprio_ros.clock import come_before_others, run_in_real_time
 from proprio_ros.errors import ProprioError
 from proprio_ros.nodes.listening import Listener, never
 from proprio_ros.nodes.parameters import declare
@@ -22,7 +22,7 @@ from proprio_ros.nodes.tables import AUTOSTART, Parameter
 from proprio_ros.nodes.turns import Turns
 
 NOT_GRANTED = (
-    "no real-time priority: beside other work messages come late (allow rtprio in limits.conf)"
+    "no priority: beside other work messages come late (allow rtprio and nice in limits.conf)"
 )
 IDLE_PAUSE_S = 0.02
 """Between two callbacks of a node that has nothing to do. Every wake-up costs 0.3 ms, whatever it is for: without this a driver at
@@ -39,8 +39,9 @@ class ManagedNode(LifecycleNode):
     """
 
     parameters: Sequence[Parameter] = ()
-    real_time = False
-    """Runs before everything else once it is active; until then it starts like any other program, beside others that do."""
+    urgent = False
+    """Whether an arm moves, or falls, by what it says: once active it comes before other programs; until then it starts like
+    any other."""
     hearing: Collection[int] = ()
     """Threads that take part in the middleware, where the node has a process to itself."""
 
@@ -64,9 +65,14 @@ class ManagedNode(LifecycleNode):
             *self.timers,
         ]
 
-    def hear_in_real_time(self) -> None:
-        """From now on what others say does not wait for other programs, nor for what this one computes in threads made later."""
-        if self.hearing and not run_in_real_time(self.hearing):
+    @property
+    def real_time(self) -> bool:
+        """Whether an arm falls when this process is not run for a moment: then it takes a real-time class."""
+        return False
+
+    def hear_before_others(self) -> None:
+        """From now on what others say waits neither for other programs nor for what this one computes."""
+        if self.hearing and not come_before_others(self.hearing):
             self.say("info", NOT_GRANTED)
 
     def configure(self) -> None:
@@ -232,12 +238,12 @@ class ManagedNode(LifecycleNode):
         return result
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        if self.real_time:
+        if self.urgent:
             # a full collection takes longer than a servo's answer: what is here now stays for good
             gc.collect()
             gc.freeze()
             # all threads, not the bus's alone: it would wait for whichever holds the interpreter's lock and is not run
-            if not run_in_real_time():
+            if not (run_in_real_time() if self.real_time else come_before_others(clock.threads())):
                 self.say("info", NOT_GRANTED)
         result = self._transition("activate", self.activate)
         self.active = result == TransitionCallbackReturn.SUCCESS

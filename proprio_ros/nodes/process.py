@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import signal
 import sys
@@ -17,7 +18,7 @@ from rclpy.signals import SignalHandlerOptions
 
 from proprio_ros import clock
 from proprio_ros.errors import ConfigurationError, ProprioError
-from proprio_ros.nodes import middleware
+from proprio_ros.nodes import middleware, printing
 from proprio_ros.nodes.managed_node import ManagedNode
 
 SWITCH_INTERVAL_S = 0.0005
@@ -30,12 +31,17 @@ CALLED_PAUSE_S = 0.005
 CANNOT_START = 2  # exit code
 
 
-def run_node(make: Callable[[], ManagedNode], arguments: Sequence[str] | None = None) -> int:
+def run_node(make: type[ManagedNode], arguments: Sequence[str] | None = None) -> int:
     """Run one node until it is asked to end (SIGINT, SIGTERM), and end it in order; returns the exit code as `live` does.
 
     rclpy's own handlers shut the context down first, after which nothing can be published any more; ours let the node
     leave everything safe before.
     """
+    with printing.without_waiting() if make.urgent else contextlib.nullcontext():
+        return _run_node(make, arguments)
+
+
+def _run_node(make: type[ManagedNode], arguments: Sequence[str] | None) -> int:
     sys.setswitchinterval(SWITCH_INTERVAL_S)
     ended = clock.event()
     middleware.prepare()

@@ -83,12 +83,15 @@ def fields_stated(
 _ABOUT_AUTOSTART = "Configure and activate at once; false leaves that to a lifecycle manager or `ros2 lifecycle set`."
 AUTOSTART = Parameter("autostart", True, _ABOUT_AUTOSTART)
 """Of every node."""
+_ABOUT_REAL_TIME = "Whether the cycle that keeps the arm up takes a real-time class; false: a higher priority, as other nodes."
+REAL_TIME = Parameter("real_time", True, _ABOUT_REAL_TIME)
 ROBOT = Parameter(
     "robot", "open_manipulator_x", "Robot of config/robots, or the path of a robot file."
 )
 
 DRIVER = (
     ROBOT,
+    REAL_TIME,
     Parameter("port", "/dev/ttyUSB0", "Serial port of the servo bus."),
     Parameter("baud_rate", 1_000_000, "Bits per second; the servos must be set to the same."),
     Parameter(
@@ -123,7 +126,14 @@ DRIVER = (
     Parameter(
         "watchdog",
         _D.watchdog_s,
-        "The servos stop after so much silence on the bus [s]; 0: never.",
+        "The servo of a driven joint stops after so much silence on the bus [s]; 0: never.",
+        0.0,
+        2.54,
+    ),
+    Parameter(
+        "hold_watchdog",
+        _D.hold_watchdog_s,
+        "The servo of a held joint stops after so much silence [s]; 0: never.",
         0.0,
         2.54,
     ),
@@ -186,6 +196,10 @@ DRIVER = (
 
 EXCITATION = (
     ROBOT,
+    replace(
+        REAL_TIME,
+        description="Whether efforts hold an arm (command_interface effort) in a real-time class; else: a higher priority.",
+    ),
     Parameter(
         "probe",
         DEFAULT_PROBE,

@@ -47,7 +47,7 @@ class VirtualNode(ManagedNode):
 
     parameters = VIRTUAL
 
-    real_time = True  # servos do not wait for other programs either
+    urgent = True  # servos do not wait for other programs either
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("virtual", **kwargs)

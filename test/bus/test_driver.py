@@ -145,6 +145,12 @@ class Rig:
         assert len(seen) > 10
         return not np.any(seen)
 
+    def zero(self, joint: str, start_s: float) -> bool:
+        """Whether no current flows in one motor, for a tenth of a second."""
+        seen = self.currents(joint, start_s, start_s + 0.1)
+        assert len(seen) > 10
+        return not np.any(seen)
+
     def position(self) -> dict[str, float]:
         with self.virtual.port.lock:
             return dict(self.virtual.arm.position())
@@ -196,7 +202,7 @@ def test_it_holds_where_it_is(clock: SimulatedClock, tmp_path: Path) -> None:
             assert abs(position - start[name]) < 0.05
             assert samples[-1].position[name] == pytest.approx(position, abs=0.03)
         assert set(samples[-1].commanded_A.values()) == {0.0}
-        assert {servo["bus_watchdog"] for servo in rig.virtual.servos.values()} == {15}
+        assert {servo["bus_watchdog"] for servo in rig.virtual.servos.values()} == {100}, "2 s"
         assert set(rig.driver.health) == set(rig.driver.joints), (
             "temperatures are known before the first push"
         )
@@ -707,9 +713,10 @@ def test_unplugged_while_it_pushes(rig: Rig) -> None:
     rig.run(0.5, {"joint3": PUSH_A})
     assert rig.driver.state is BusState.DISCONNECTED
     assert set(rig.driver.modes.values()) == {"held"}
-    assert rig.all_zero(unplugged_s + rig.driver.settings.watchdog_s + 0.02), (
-        "the servos' own watchdog"
+    assert rig.zero("joint3", unplugged_s + rig.driver.settings.watchdog_s + 0.02), (
+        "its servo's own watchdog"
     )
+    assert np.any(rig.currents("joint2", unplugged_s + 0.4)), "what is held waits longer"
     assert np.any(rig.currents("joint3", unplugged_s, unplugged_s + 0.1))
     assert sum("trying again" in message for _, message in rig.log) <= 2, "not in every attempt"
     rig.virtual.set_fault("")
@@ -760,13 +767,94 @@ def test_the_process_dies_while_it_pushes(rig: Rig) -> None:
     died_s = rig.clock.now()
     rig.clock.sleep(0.45)
     assert np.allclose(rig.currents("joint3", died_s, died_s + 0.15), QUANTISED_A, atol=1e-9)
-    assert rig.all_zero(died_s + rig.driver.settings.watchdog_s + 0.02)
-    rig.run(0.4)
+    assert rig.zero("joint3", died_s + rig.driver.settings.watchdog_s + 0.02)
+    rig.run(0.1)
     assert rig.driver.state is BusState.RUNNING
     assert set(rig.driver.modes.values()) == {"held"}
-    assert {servo["bus_watchdog"] for servo in rig.virtual.servos.values()} == {15}, (
+    assert rig.said("joint3: stopped by the watchdog, since the driver was not run for 0.4")
+    assert {servo["bus_watchdog"] for servo in rig.virtual.servos.values()} == {100}, (
         "the servos are awake again"
     )
+
+
+def test_a_process_that_dies_drops_the_arm_in_the_end(rig: Rig) -> None:
+    died_s = rig.clock.now()
+    rig.clock.sleep(2.3)
+    assert rig.all_zero(died_s + rig.driver.settings.hold_watchdog_s + 0.02)
+
+
+def test_a_cycle_that_stands_still_drops_nothing_that_is_held(rig: Rig) -> None:
+    before = rig.position()
+    for stall_s in (0.3, 0.5, 1.5):
+        rig.clock.sleep(stall_s)
+        begun_s = rig.clock.now()
+        rig.run(0.1)
+        assert np.any(rig.currents("joint2", begun_s - stall_s)), "it is held meanwhile"
+        for name, position in rig.position().items():
+            assert position == pytest.approx(before[name], abs=0.02)
+    assert not rig.said("watchdog")
+
+
+def test_an_arm_that_was_dropped_is_held_at_once(rig: Rig) -> None:
+    rig.clock.sleep(rig.driver.settings.hold_watchdog_s + 0.05)
+    begun_s = rig.clock.now()
+    rig.run(0.15)
+    assert rig.said("stopped by the watchdog, since the driver was not run for 2.0")
+    assert np.any(rig.currents("joint2", begun_s + 0.1)), "not only when its turn comes"
+    assert rig.driver.state is BusState.RUNNING
+
+
+@pytest.mark.parametrize("pushes", [False, True], ids=["held", "pushed"])
+def test_a_thread_that_is_not_run_while_it_asks_drops_nothing(rig: Rig, pushes: bool) -> None:
+    """The worst moment: it has the lock that requests are made under."""
+    if pushes:
+        rig.run(0.1, {"joint3": PUSH_A})
+    before = rig.position()
+    begun_s = rig.clock.now()
+
+    def ask() -> None:
+        with rig.driver._lock:
+            rig.clock.sleep(0.35)
+
+    thread = rig.clock.thread(ask, "asks")
+    thread.start()
+    cycles = rig.driver.statistics.cycles
+    rig.run(0.3)
+    assert rig.driver.statistics.cycles - cycles >= 29, "no cycle waits for it"
+    assert {servo["bus_watchdog"] for servo in rig.virtual.servos.values()} == {100}
+    assert set(rig.driver.modes.values()) == {"held"}, "the deadline of a push counts all the same"
+    assert np.any(rig.currents("joint2", begun_s))
+    for name in ("joint1", "joint2", "joint4"):
+        assert rig.position()[name] == pytest.approx(before[name], abs=0.05)
+    rig.run(0.1)
+    assert not thread.is_alive()
+    assert rig.driver.command_positions({"joint4": 0.4}) == "", "and it is asked again"
+    assert not rig.said("watchdog")
+
+
+def test_a_push_begins_only_where_its_servo_would_soon_stop_without_us(rig: Rig) -> None:
+    seen = []
+    for _ in range(12):
+        rig.run(CYCLE_S, {"joint3": PUSH_A})
+        mode = rig.driver.modes["joint3"]
+        seen.append((mode, rig.virtual.servos["joint3"]["bus_watchdog"]))
+    assert seen[0] == ("held", 15)
+    assert set(seen[2:]) == {("driven", 15)}
+    assert rig.virtual.servos["joint2"]["bus_watchdog"] == 100
+    rig.run(0.2)
+    assert rig.virtual.servos["joint3"]["bus_watchdog"] == 100
+
+
+@with_settings(reconnect_s=0.1)
+def test_one_dead_servo_does_not_leave_another_pushing(rig: Rig) -> None:
+    """Whoever looks for the dead one keeps the watchdogs of the others from ending a push."""
+    rig.run(0.1, {"joint3": PUSH_A})
+    rig.virtual.set_fault("hang=joint4")
+    rig.until(lambda: rig.driver.state is BusState.DISCONNECTED)
+    lost_s = rig.clock.now()
+    rig.run(0.3, {"joint3": PUSH_A})
+    assert rig.pushed(lost_s + 0.02) < 0.3
+    assert np.any(rig.currents("joint2", lost_s))
 
 
 def test_incomplete_rounds_are_asked_for_again(rig: Rig) -> None:

@@ -92,7 +92,7 @@ class Arm:
         self.speaker = Speaker()
         self.commands = Published()
         monkeypatch.setattr(excitation, "LastWords", lambda *_given: self.speaker)
-        monkeypatch.setattr(ExcitationNode, "real_time", False)
+        monkeypatch.setattr(ExcitationNode, "urgent", False)
         probe = folder / "push.yaml"
         probe.write_text(PROBE % given.pop("push_s", 0.3))
         parameters = {

@@ -60,7 +60,7 @@ def context(
     time_of_the_test: SimulatedClock,
 ) -> Iterator[Any]:
     # this process is that of the other tests, too
-    monkeypatch.setattr(ExcitationNode, "real_time", False)
+    monkeypatch.setattr(ExcitationNode, "urgent", False)
     context = rclpy.Context()
     rclpy.init(args=[], context=context)
     yield context

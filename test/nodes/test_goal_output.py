@@ -77,7 +77,7 @@ class Arm:
             is_publisher=lambda info: False,
         )  # fmt: skip
         monkeypatch.setattr(excitation, "LastWords", lambda *_given: speaker)
-        monkeypatch.setattr(ExcitationNode, "real_time", False)
+        monkeypatch.setattr(ExcitationNode, "urgent", False)
         probe = folder / "step.yaml"
         probe.write_text(PROBE)
         given = {

@@ -193,10 +193,10 @@ def entries_of(node: Any) -> dict[str, str]:
 
 
 @pytest.mark.parametrize("granted", [True, False])
-def test_it_says_where_real_time_is_not_granted(
+def test_it_says_where_no_priority_is_granted(
     nodes: Nodes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, granted: bool
 ) -> None:
-    monkeypatch.setattr(managed_node, "run_in_real_time", lambda threads: granted)
+    monkeypatch.setattr(managed_node, "come_before_others", lambda threads: granted)
     node = nodes.identifier(data_directory=tmp_path, calibration="none")
     said: list[str] = []
     monkeypatch.setattr(
@@ -204,10 +204,10 @@ def test_it_says_where_real_time_is_not_granted(
         "say",
         lambda severity, words: said.append(words),
     )
-    node.hear_in_real_time()
+    node.hear_before_others()
     assert not said, "a thread beside others decides nothing for them"
     node.hearing = {1}
-    node.hear_in_real_time()
+    node.hear_before_others()
     assert said == [managed_node.NOT_GRANTED] * (not granted)
 
 

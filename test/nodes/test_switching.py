@@ -180,7 +180,7 @@ def test_without_the_messages_the_node_says_so_and_works(
         "say",
         lambda self, severity, words: said.append(words),
     )
-    monkeypatch.setattr(ExcitationNode, "real_time", False)
+    monkeypatch.setattr(ExcitationNode, "urgent", False)
     speaker = SimpleNamespace(
         alive=True,
         due=True,

@@ -27,6 +27,7 @@ KINDS = {
     "stranger": "somebody else commands positions", "call": "somebody calls a service",
     "transition": "a node is deactivated", "clock": "the system's clock is set",
     "double": "messages are doubled and overtaken for 1 ms to 10 s", "disk": "the disk is full for 1 ms to 10 s",
+    "threads": "threads of a node but the bus cycle are not run for 0.3 to 1 s",
     "late": "a command is held back for 50 to 800 ms while torque is switched off and on",
 }  # fmt: skip
 

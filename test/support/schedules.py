@@ -41,6 +41,7 @@ from rclpy.parameter import Parameter
 from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import SetBool
 
+from proprio_ros.bus.state import FAR_COUNTS
 from proprio_ros.live.session import JOURNAL
 from proprio_ros.nodes.messages import labelled
 from support.forked import lives
@@ -54,6 +55,10 @@ KINDS = (
     "kill", "stall", "restart", "end", "unplug", "overheat", "jump", "drop", "stranger", "call", "transition", "clock", "double",
     "disk", "late",
 )  # fmt: skip
+THREADS = "threads"
+"""Beside those: all threads of a node but the bus cycle are not run. Drawn apart, so that what other seeds say stays as it was."""
+OF_THREADS = 0.08  # of schedules
+BUS_CYCLE = "servo bus"
 PLANS = {"push": 0.92, "weigh": 0.07, "pair": 0.01}
 """What is asked for while things go wrong, and how often: a push, a weighing, or a weighing by each of two arms in one world.
 
@@ -63,7 +68,7 @@ CALIBRATION = Path(__file__).with_name("virtual_arm_1.yaml")
 LASTING = ("stall", "unplug", "stranger", "drop", "double", "disk")
 STILL_RAD_S = 0.15
 SAFE_S = 1.0
-"""After the driver or the bus is gone: the servos' watchdog takes 0.3 s, and what turned comes to rest."""
+"""After the driver or the bus is gone: the watchdog of a servo that pushes takes 0.3 s, and what turned comes to rest."""
 NOWHERE_RAD = 0.31415
 """Where nobody but a stranger wants a joint."""
 ANSWER_S = 120.0
@@ -182,6 +187,10 @@ def drawn(seed: int) -> Drawn:
             )
         )
     masses_kg = draw.choice(MASSES_KG), draw.choice(MASSES_KG)
+    apart = random.Random(f"threads {seed}")
+    if apart.random() < OF_THREADS:
+        whom = apart.choice(FAULTY)
+        faults.append(Fault(apart.uniform(0.0, 1.5), THREADS, whom, apart.uniform(0.3, 1.0)))
     return Drawn(
         plan,
         masses_kg,
@@ -254,6 +263,8 @@ class Side:
             process.end()
         elif fault.kind == "stall":
             clock.stall(process.name, fault.lasts_s)
+        elif fault.kind == THREADS:
+            self.stall_threads(process, fault.lasts_s)
         elif fault.kind == "unplug":
             self.robot.port.unplug()
             clock.sleep(min(fault.lasts_s, SAFE_S))
@@ -290,6 +301,36 @@ class Side:
             disk_is_full(True)
             clock.sleep(fault.lasts_s)
             disk_is_full(False)
+
+    def stall_threads(self, process: Any, lasts_s: float) -> None:
+        """No thread of a node but the bus cycle is run, and one of the driver's has what they share: nothing is dropped."""
+        clock = self.world.clock
+        driver = self.process("driver")
+        well = self.cycles()
+        if well and process is driver:
+            lock = driver.node._driver._lock
+
+            def have() -> None:
+                with lock:
+                    clock.sleep(lasts_s)
+
+            clock.thread(have, "asks", group="user").start()
+        clock.stall(process.name, lasts_s, BUS_CYCLE)
+        clock.sleep(lasts_s)
+        stopped = [name for name, servo in self.robot.servos.items() if servo["bus_watchdog"] < 0]
+        if well and stopped and self.cycles():
+            self.broken(f"threads that were not run dropped {', '.join(stopped)}")
+
+    def cycles(self) -> bool:
+        """Whether the bus cycle holds the arm."""
+        node = self.process("driver").node
+        if node is None or node._driver is None or not self.process("driver").alive:
+            return False
+        cycle = [
+            actor for actor in self.world.clock.actors if actor.name == BUS_CYCLE and not actor.done
+        ]
+        late = any(actor.stalled_until_s > self.world.clock._now_s for actor in cycle)
+        return node._driver.state.value == "running" and not late
 
     def command_late(self, fault: Fault) -> None:
         """A command is held back while somebody switches torque off and on, and comes, if it does, to an arm held anew."""
@@ -378,10 +419,12 @@ class Side:
     # --- what is asked for, and what must be true
 
     def safe(self, why: str) -> None:
-        """No motor pushes a joint that turns."""
+        """No motor pushes a joint that turns; one that holds a place, as its servo does for 2 s, may turn about it."""
         speeds, (_, currents) = self.robot.arm.velocity_rad_s().tolist(), self.robot.truth()
         for (name, current_A), speed in zip(currents.items(), speeds, strict=True):
-            if abs(speed) > STILL_RAD_S and abs(current_A) > 0.01:
+            servo = self.robot.servos[name]
+            ahead = abs(servo["goal_position"] - servo["present_position"])
+            if ahead > FAR_COUNTS / 2 and abs(speed) > STILL_RAD_S and abs(current_A) > 0.01:
                 self.broken(f"{why}: {name} turns at {speed:.2f} rad/s with {current_A:.3f} A")
 
     def still(self, why: str) -> None:

@@ -11,7 +11,7 @@ from __future__ import annotations
 import heapq
 import math
 import random
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from functools import partial
 from typing import Any
 
@@ -97,10 +97,10 @@ class SimulatedClock:
                 actor.killed = True
                 self.wake(actor)
 
-    def stall(self, group: str, duration_s: float) -> None:
-        """No thread of a group is run for so long, as where others have the processor."""
+    def stall(self, group: str, duration_s: float, but: str = "") -> None:
+        """No thread of a group, but one of this name, is run for so long, as where others have the processor."""
         for actor in self.actors:
-            if actor.group == group:
+            if actor.group == group and actor.name != but:
                 actor.stalled_until_s = self._now_s + duration_s
 
     def stalled(self, group: str) -> bool:
@@ -114,7 +114,7 @@ class SimulatedClock:
     def come_after_others(self) -> None:
         """Here nobody is kept from a processor."""
 
-    def come_before_others(self) -> bool:
+    def come_before_others(self, which: Collection[int] = ()) -> bool:
         return False
 
     def end(self) -> None:

@@ -61,7 +61,8 @@ NODES = {
     "virtual": "VirtualNode", "driver": "DriverNode", "excitation": "ExcitationNode", "identifier": "IdentifierNode",
 }  # fmt: skip
 ROOM = _on_stand_ins()
-ROOM["managed_node"].run_in_real_time = lambda *_: True  # nothing here is bound to any time
+ROOM["managed_node"].run_in_real_time = lambda: True  # nothing here is bound to any time
+ROOM["managed_node"].come_before_others = lambda *_: True
 LINK = "/simulated/arm"
 
 

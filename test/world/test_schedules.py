@@ -15,7 +15,7 @@ import pytest
 pytest.importorskip("rclpy")
 pytest.importorskip("mujoco")
 
-from support.schedules import FAULTY, KINDS, PLANS, drawn
+from support.schedules import FAULTY, KINDS, PLANS, THREADS, drawn
 
 SCHEDULES = Path(__file__).resolve().parents[1] / "support" / "schedules.py"
 PLAYED = sorted(
@@ -42,8 +42,8 @@ def test_every_kind_is_among_them() -> None:
     plans = [drawn(seed) for seed in PLAYED]
     kinds = Counter((each.plan, fault.kind) for each in plans for fault in each.faults)
     assert {plan for plan, _ in kinds} == set(PLANS)
-    assert {kind for _, kind in kinds} == set(KINDS)
-    for kind in KINDS:
+    assert {kind for _, kind in kinds} == {*KINDS, THREADS}
+    for kind in (*KINDS, THREADS):
         assert sum(kinds[plan, kind] for plan in PLANS) >= 5
         assert kinds["push", kind] > 50 or kind == "disk"
     assert sum(each.plan == "weigh" for each in plans) > 50
@@ -54,7 +54,7 @@ def test_every_kind_is_among_them() -> None:
 def test_every_node_is_hit_and_a_cable_is_off_for_long() -> None:
     faults = [fault for seed in PLAYED for fault in drawn(seed).faults]
     ended = {(fault.kind, fault.whom) for fault in faults}
-    assert set(product(("kill", "restart", "end", "stall"), FAULTY)) <= ended
+    assert set(product(("kill", "restart", "end", "stall", THREADS), FAULTY)) <= ended
     unplugged_s = [fault.lasts_s for fault in faults if fault.kind == "unplug"]
     assert max(unplugged_s) > 1.0, "longer than a servo waits"
 
