@@ -225,7 +225,16 @@ class _Speaker:
 
 
 def main(topic: str, switched: str = "", urgent: str = "") -> int:
-    """The other process; returns when the node has ended."""
+    """The other process.
+
+    Args:
+        topic: Where the controller listens.
+        switched: The controllers that are switched back, as JSON; empty: none.
+        urgent: `REAL_TIME`, where it takes a real-time class.
+
+    Returns:
+        Its exit code, when the node has ended.
+    """
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, signal.SIG_IGN)  # it ends with the node
     rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)

@@ -133,7 +133,7 @@ DRIVER = (
     Parameter(
         "hold_watchdog",
         _D.hold_watchdog_s,
-        "The servo of a held joint stops after so much silence [s]; 0: never.",
+        "The servo of a locked joint stops after so much silence [s]; 0: never.",
         0.0,
         2.54,
     ),

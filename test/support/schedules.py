@@ -57,6 +57,7 @@ KINDS = (
 )  # fmt: skip
 THREADS = "threads"
 """Beside those: all threads of a node but the bus cycle are not run. Drawn apart, so that what other seeds say stays as it was."""
+OF_PROCESSES = ("kill", "restart", "end", "stall", THREADS)
 OF_THREADS = 0.08  # of schedules
 BUS_CYCLE = "servo bus"
 PLANS = {"push": 0.92, "weigh": 0.07, "pair": 0.01}
@@ -187,16 +188,22 @@ def drawn(seed: int) -> Drawn:
             )
         )
     masses_kg = draw.choice(MASSES_KG), draw.choice(MASSES_KG)
-    apart = random.Random(f"threads {seed}")
-    if apart.random() < OF_THREADS:
-        whom = apart.choice(FAULTY)
-        faults.append(Fault(apart.uniform(0.0, 1.5), THREADS, whom, apart.uniform(0.3, 1.0)))
+    faults += of_threads(seed)
     return Drawn(
         plan,
         masses_kg,
         network,
         tuple(sorted(faults, key=lambda fault: fault.at_s)),
     )
+
+
+def of_threads(seed: int) -> list[Fault]:
+    """That threads are not run, where the seed says so."""
+    draw = random.Random(f"threads {seed}")
+    if draw.random() >= OF_THREADS:
+        return []
+    whom = draw.choice(FAULTY)
+    return [Fault(draw.uniform(0.0, 1.5), THREADS, whom, draw.uniform(0.3, 1.0))]
 
 
 class Side:
@@ -251,20 +258,8 @@ class Side:
         made = self.world
         clock = self.world.clock
         process = self.process(fault.whom)
-        if fault.kind in ("kill", "restart"):
-            process.kill()
-            if fault.kind == "restart":
-                clock.sleep(0.5)
-                process.start()
-            elif fault.whom == "driver":
-                clock.sleep(SAFE_S)
-                self.safe(f"{SAFE_S:g} s after {fault.kind}")
-        elif fault.kind == "end":
-            process.end()
-        elif fault.kind == "stall":
-            clock.stall(process.name, fault.lasts_s)
-        elif fault.kind == THREADS:
-            self.stall_threads(process, fault.lasts_s)
+        if fault.kind in OF_PROCESSES:
+            self.disturb(process, fault)
         elif fault.kind == "unplug":
             self.robot.port.unplug()
             clock.sleep(min(fault.lasts_s, SAFE_S))
@@ -301,6 +296,24 @@ class Side:
             disk_is_full(True)
             clock.sleep(fault.lasts_s)
             disk_is_full(False)
+
+    def disturb(self, process: Any, fault: Fault) -> None:
+        """A process is killed, ended, or not run."""
+        clock = self.world.clock
+        if fault.kind == "end":
+            process.end()
+        elif fault.kind == "stall":
+            clock.stall(process.name, fault.lasts_s)
+        elif fault.kind == THREADS:
+            self.stall_threads(process, fault.lasts_s)
+        else:
+            process.kill()
+        if fault.kind == "restart":
+            clock.sleep(0.5)
+            process.start()
+        elif fault.kind == "kill" and fault.whom == "driver":
+            clock.sleep(SAFE_S)
+            self.safe(f"{SAFE_S:g} s after {fault.kind}")
 
     def stall_threads(self, process: Any, lasts_s: float) -> None:
         """No thread of a node but the bus cycle is run, and one of the driver's has what they share: nothing is dropped."""
