@@ -73,6 +73,7 @@ MODULES: dict[str, tuple[str, ...]] = {
         "request",
     ),
     "probes": (
+        "",
         "base",
         "container.identify",
         "container.problem",

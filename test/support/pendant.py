@@ -14,6 +14,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
+from support.domains import free_domain
 from support.live import UP_S
 from support.waiting import wait_for
 
@@ -63,7 +64,7 @@ class Shown:
 
 @contextmanager
 def pendant(folder: Path, *words: str, **environment: str) -> Iterator[Shown]:
-    """One that shows its pages."""
+    """One that shows its pages, in a domain where nobody else is."""
     said = folder / "pendant.txt"
     with said.open("wb") as stderr:
         process = subprocess.Popen(
@@ -71,7 +72,7 @@ def pendant(folder: Path, *words: str, **environment: str) -> Iterator[Shown]:
             stdin=subprocess.DEVNULL,
             stdout=stderr,
             stderr=stderr,
-            env={**os.environ, **environment},
+            env={**os.environ, "ROS_DOMAIN_ID": free_domain(), **environment},
         )
     try:
         assert wait_for(lambda: _OPEN.search(said.read_text()) or process.poll() is not None, UP_S)

@@ -35,7 +35,9 @@ class Tab:
         from websockets.sync.client import connect
 
         self._opened = ExitStack()
-        self._socket = self._opened.enter_context(connect(address, max_size=None))
+        self._socket = self._opened.enter_context(
+            connect(address, max_size=None, ping_interval=None)
+        )
         self._number = 0
         self.requests: list[str] = []
         self.said: list[str] = []

@@ -13,8 +13,7 @@ import shlex
 import signal
 import sys
 from asyncio.subprocess import DEVNULL, PIPE, Process
-from collections.abc import Callable, Sequence
-from pathlib import Path
+from collections.abc import Awaitable, Callable, Sequence
 from time import monotonic
 from typing import Any
 
@@ -36,6 +35,7 @@ class Call:
         answer: What ``--json`` printed in the end; None: it is under way.
         cancelled: Whether somebody has asked for its end.
         seconds: How long it took; None: it is under way.
+        then: What is done after it.
     """
 
     def __init__(self, service: str, settings: Sequence[str] = (), namespace: str = "") -> None:
@@ -50,6 +50,7 @@ class Call:
         self.answer: dict[str, Any] | None = None
         self.cancelled = False
         self.seconds: float | None = None
+        self.then: Callable[[], Awaitable[object]] | None = None
         self._begun_s = monotonic()
         self._process: Process | None = None
 
@@ -96,6 +97,8 @@ class Call:
         finally:
             self.seconds = monotonic() - self._begun_s
             self.answer = self.answer or {"success": False, "message": "the call was given up"}
+            if self.then is not None:
+                await self.then()
 
     def cancel(self) -> None:
         """End the job; the arm is held."""
@@ -156,10 +159,3 @@ class Calls:
         self._tell(call.command)
         self._task = asyncio.create_task(call.run())
         return call
-
-
-def kept_beside(message: str) -> Path | None:
-    """The folder of the recording that an answer names, where it is on this computer."""
-    found = re.search(r"recording: (\S.*)$", message)
-    folder = Path(found[1]).parent if found else None
-    return folder if folder is not None and folder.is_dir() else None

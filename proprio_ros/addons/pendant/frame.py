@@ -3,42 +3,53 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator
+from functools import partial
 
 from nicegui import Client, ui
 
 from proprio_ros.addons.pendant.lease import SILENCE_S
 from proprio_ros.addons.pendant.pages import PAGES
 from proprio_ros.addons.pendant.pendant import Pendant
+from proprio_ros.registry import loaded
 
 HEAR_S = 2.0
 """So often a page is asked whether it is there."""
 
 
-@contextlib.contextmanager
-def frame(pendant: Pendant, title: str) -> Iterator[None]:
-    """A page; what is made inside stands in its middle.
-
-    Args:
-        pendant: What it shows.
-        title: Of the page, as in the navigation.
-    """
+def frame(pendant: Pendant) -> None:
+    """The one page of a browser, whose middle shows what its address says."""
     client = ui.context.client
-    ui.page_title(f"{title} - proprio")
+    ui.colors(primary="#2a7f9e")
     with ui.element("header").classes("top"):
         with ui.element("nav").props('aria-label="Pages"'):
-            for page in PAGES:
-                link = ui.link(page.title, page.path)
-                if page.title == title:
-                    link.props('aria-current="page"')
+            links = {page.path: ui.link(page.title, page.path) for page in PAGES}
         holder = ui.label().classes("holder").props('role="status"')
+        gives = ui.button("Give up", on_click=lambda: pendant.lease.give_up(client.id))
+        gives.props("flat dense no-caps")
         stop = ui.element("button").classes("stop").props('type="button" aria-keyshortcuts="Space"')
         with stop:
             ui.label("STOP")
             ui.label("space bar").classes("hint")
     with ui.element("main"):
-        yield
-    ui.timer(1.0, lambda: holder.set_text(_holder(pendant, client)), immediate=True)
+        ui.sub_pages({page.path: partial(loaded(page.place), pendant) for page in PAGES})
+
+    def went(address: str) -> None:
+        path = address.partition("?")[0]
+        for page in PAGES:
+            links[page.path].props('aria-current="page"' if page.path == path else "")
+            if page.path == path:
+                ui.page_title(f"{page.title} - proprio")
+            else:
+                links[page.path].props(remove="aria-current")
+
+    def tell() -> None:
+        holder.set_text(_holder(pendant, client))
+        mine = pendant.lease.holder == client.id
+        gives.set_visibility(mine and pendant.calls.under_way is None)
+
+    client.sub_pages_router.on_path_changed(went)
+    went(client.sub_pages_router.current_path)
+    ui.timer(1.0, tell)
     ui.timer(HEAR_S, lambda: _hear(pendant, client))
 
 

@@ -31,7 +31,7 @@ class Lease:
         """Whether the page holds it now."""
         if self.holder in ("", page):
             self._holder = page
-            self.hear(page)
+            self._heard_s = self._now()
         return self.holder == page
 
     def hear(self, page: str) -> None:

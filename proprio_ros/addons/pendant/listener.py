@@ -19,7 +19,7 @@ from rclpy.parameter import Parameter, parameter_value_to_python
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Bool, Float64MultiArray, String
+from std_msgs.msg import Bool, Float64MultiArray
 from std_srvs.srv import Trigger
 
 from proprio_ros.addons.pendant.news import News, Said
@@ -126,7 +126,6 @@ class Listener:
             (DiagnosticArray, f"{identifier}/estimate", self._on_estimate, LATCHED),
             (Bool, f"{identifier}/holding", lambda said: hear("holding", bool(said.data)), LATCHED),
             (Float64MultiArray, f"{self._base}/motor_temperatures", self._on_motors, NEWEST),
-            (String, f"{self._base}/robot_description", self._on_description, LATCHED),
         ):
             subscription = self._node.create_subscription(kind, topic, take, quality)
             self._takes.append((subscription, take))
@@ -154,8 +153,12 @@ class Listener:
         return lambda message: self._news.hear(about, _said(message))
 
     def _on_estimate(self, message: DiagnosticArray) -> None:
+        now_ns = int(self._node.get_clock().now().nanoseconds)
+        late_s = 1e-9 * (now_ns - messages.time_ns(message.header.stamp))
         for status in message.status:
-            self._news.hear_estimate(_said(status))
+            said = _said(status)
+            final = said.values.get("final") == "true"
+            self._news.hear_estimate(said, max(late_s, 0.0) if final else 0.0)
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         driver = f"{self._base}/driver: ".lstrip("/")
@@ -166,9 +169,6 @@ class Listener:
 
     def _on_motors(self, message: Float64MultiArray) -> None:
         self._news.hear("temperatures", messages.by_joint(message, ()))
-
-    def _on_description(self, message: String) -> None:
-        self._news.description = message.data
 
 
 def _take_newest(subscription: Any, take: Callable[[Any], None]) -> None:

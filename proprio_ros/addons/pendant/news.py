@@ -6,7 +6,7 @@ import json
 import math
 from collections import deque
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from time import monotonic
 from typing import Any
 
@@ -46,7 +46,6 @@ class News:
         entries: Newest of what is said, by what it is about.
         curve: The mass in the last minute.
         nodes: Those of ours that are there, by their own names.
-        description: URDF that was published; empty: none.
     """
 
     now: Callable[[], float] = monotonic
@@ -55,7 +54,6 @@ class News:
     entries: dict[str, Any] = field(default_factory=dict)
     curve: deque[Point] = field(default_factory=deque)
     nodes: frozenset[str] = frozenset()
-    description: str = ""
     _heard_s: dict[str, float] = field(default_factory=dict)
 
     def hear(self, about: str, entry: Any = None) -> None:
@@ -84,17 +82,43 @@ class News:
         self.efforts.update(zip(names, efforts, strict=False))
         self.hear("states")
 
-    def hear_estimate(self, said: Said) -> None:
-        """What the identifier estimates, also of a run under way; a mass goes to the curve."""
+    def hear_estimate(self, said: Said, late_s: float = 0.0) -> None:
+        """What the identifier estimates, also of a run under way; a mass goes to the curve.
+
+        Args:
+            said: Keys and values.
+            late_s: How long ago it was said [s]: who comes later hears the last of them.
+        """
         self.hear("estimate", said)
+        self._heard_s["estimate"] -= late_s
         if said.values.get("running") == "true":
             self.hear("running")
-        point = _point(self.now(), said.values)
+        point = _point(self._heard_s["estimate"], said.values)
         if point is None:
             return
         self.curve.append(point)
         while self.curve[0].at_s < point.at_s - CURVE_S:
             self.curve.popleft()
+
+    @property
+    def is_running(self) -> bool:
+        """Whether the newest estimate is that of the arm at work, which is made anew all the time."""
+        said = self.entries.get("estimate")
+        return isinstance(said, Said) and said.values.get("running") == "true"
+
+    @property
+    def points(self) -> list[Point]:
+        """The curve, as seen now: a mass that was weighed stands until something else is said."""
+        now_s = self.now()
+        found = [point for point in self.curve if now_s - point.at_s < CURVE_S]
+        said = self.entries.get("estimate")
+        if self.curve and isinstance(said, Said) and said.values.get("final") == "true":
+            newest = self.curve[-1]
+            if newest.at_s == self._heard_s["estimate"]:
+                if not found:
+                    found = [replace(newest, at_s=now_s - CURVE_S)]
+                found.append(replace(newest, at_s=now_s))
+        return found
 
     @property
     def warnings(self) -> list[str]:

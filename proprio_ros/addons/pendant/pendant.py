@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any
 from proprio_ros.addons.pendant.calls import Call, Calls
 from proprio_ros.addons.pendant.lease import Lease
 from proprio_ros.addons.pendant.news import News
-from proprio_ros.errors import ConfigurationError
+from proprio_ros.errors import ConfigurationError, ProprioError
+from proprio_ros.robot import Robot, load_robot
 
 if TYPE_CHECKING:
     from proprio_ros.addons.pendant.listener import Listener
@@ -44,6 +45,7 @@ class Pendant:
         self.calls = Calls(namespace, tell)
         self.no_ros = ""
         self._listener: Listener | None = None
+        self._robots: dict[str, Robot | None] = {}
 
     def open(self) -> None:
         """Begin to listen, where there is ROS."""
@@ -115,6 +117,23 @@ class Pendant:
             return None
         return await asyncio.to_thread(self._listener.parameters, *names)
 
+    async def robot(self) -> Robot | None:
+        """The arm that the identifier weighs with; None: it is not known here."""
+        found = await self.parameters("robot")
+        if found is None:
+            return None
+        name = str(found["robot"])
+        if name not in self._robots:
+            self._robots[name] = await asyncio.to_thread(_robot, name)
+        return self._robots[name]
+
+    async def put_back(self, values: Mapping[str, Any]) -> None:
+        """State parameters as they were before a call that is over."""
+        if self._listener is not None:
+            refused = await asyncio.to_thread(self._listener.state, values)
+            if refused:
+                self.tell(f"{', '.join(values)} could not be put back: {refused}")
+
     async def state(self, page: str, values: Mapping[str, Any]) -> str:
         """Set parameters of the identifier; why that is refused, or empty.
 
@@ -126,3 +145,11 @@ class Pendant:
         if why or self._listener is None:
             return why
         return await asyncio.to_thread(self._listener.state, values)
+
+
+def _robot(name: str) -> Robot | None:
+    """An arm by its name or file; None: it cannot be read here."""
+    try:
+        return load_robot(name)
+    except ProprioError:
+        return None

@@ -6,19 +6,20 @@ import secrets
 import signal
 import socket
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import uvicorn
 from fastapi import FastAPI
-from fastapi.responses import PlainTextResponse
+from fastapi.responses import FileResponse, PlainTextResponse, Response
 from nicegui import app, ui
 
+from proprio_ros.addons.pendant.answers import report_of
+from proprio_ros.addons.pendant.frame import frame
 from proprio_ros.addons.pendant.gate import Gate
 from proprio_ros.addons.pendant.lease import SILENCE_S
-from proprio_ros.addons.pendant.pages import PAGES
 from proprio_ros.addons.pendant.pendant import Pendant
 from proprio_ros.errors import ConfigurationError
-from proprio_ros.registry import loaded
 
 WATCH_S = 0.5
 LONGEST_MESSAGE = 2**20  # bytes, of a socket
@@ -82,13 +83,22 @@ def _site(pendant: Pendant) -> FastAPI:
         '<link rel="stylesheet" href="/pendant.css"><script defer src="/pendant.js"></script>',
         shared=True,
     )
-    for page in PAGES:
-        loaded(page.place)(pendant)
+
+    @app.get("/report")
+    def report() -> Response:
+        page = report_of(pendant.calls.latest)
+        if page is None:
+            return PlainTextResponse("there is no report on this computer", status_code=404)
+        # it draws by scripts of its own, and is not to click here
+        alone = {"Content-Security-Policy": "sandbox allow-scripts", "Cache-Control": "no-store"}
+        return FileResponse(page, headers=alone)
+
     app.timer(WATCH_S, pendant.watch)
     app.on_shutdown(pendant.close)
     app.config.socket_io_js_transports = ["websocket"]
     ui.run_with(
         site,
+        root=partial(frame, pendant),
         title="proprio",
         dark=None,
         tailwind=False,

@@ -1,4 +1,7 @@
-"""A module a page, each with a function ``add(pendant)``."""
+"""A module a page, each with a function ``show(pendant)`` that fills the middle of the frame.
+
+One page of the browser shows them all in turn, so that whoever holds the arm can look elsewhere meanwhile.
+"""
 
 from __future__ import annotations
 
@@ -10,11 +13,11 @@ class Page(NamedTuple):
 
     path: str
     title: str
-    place: str  # of the function that adds it
+    place: str  # of the function that shows it
 
 
 PAGES = tuple(
-    Page(path, title, f"proprio_ros.addons.pendant.pages.{title.lower()}:add")
+    Page(path, title, f"proprio_ros.addons.pendant.pages.{title.lower()}:show")
     for path, title in (
         ("/", "Arm"),
         ("/wizard", "Wizard"),

@@ -4,14 +4,9 @@ from __future__ import annotations
 
 from nicegui import ui
 
-from proprio_ros.addons.pendant.frame import frame
 from proprio_ros.addons.pendant.pendant import Pendant
 
 
-def add(pendant: Pendant) -> None:
-    """Add the page."""
-
-    @ui.page("/history")
-    def history() -> None:
-        with frame(pendant, "History"):
-            ui.label("Nothing here yet.")
+def show(pendant: Pendant) -> None:
+    """Fill the page."""
+    ui.label("Nothing here yet.")

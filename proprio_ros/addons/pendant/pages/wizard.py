@@ -1,17 +1,180 @@
-"""Wizard."""
+"""The wizard: choose what to do, say what is asked, confirm once that the arm may move, and read the answer."""
 
 from __future__ import annotations
 
-from nicegui import ui
+from collections.abc import Mapping
+from functools import partial
+from html import escape
 
-from proprio_ros.addons.pendant.frame import frame
+from nicegui import Client, ui
+
+from proprio_ros.addons.pendant.answers import answer, report_of
+from proprio_ros.addons.pendant.calls import Call
 from proprio_ros.addons.pendant.pendant import Pendant
+from proprio_ros.addons.pendant.tasks import CALIBRATE, Task, settings_of, tasks, what_moves
+from proprio_ros.errors import ConfigurationError
+
+READS_S = 0.5
+LATEST = 4
+"""So many sentences of what goes on are shown."""
+GRAMS = 1e-3  # kg
 
 
-def add(pendant: Pendant) -> None:
-    """Add the page."""
+def show(pendant: Pendant) -> None:
+    """Fill the page."""
+    found = tasks()
+    with ui.element("div").classes("wizard"):
+        choices = ui.element("nav").classes("tasks").props('aria-label="What to do"')
+        with ui.element("div").classes("steps"):
+            asked = ui.element("section").classes("card").props('aria-label="Task"')
+            _Progress(pendant, {task.service: task.title for task in found})
+    forms = _Forms(pendant, asked, ui.context.client)
+    with choices:
+        for task in found:
+            button = ui.button(task.title, on_click=partial(forms.show, task))
+            button.props("flat no-caps")
+    forms.show(found[0])
 
-    @ui.page("/wizard")
-    def wizard() -> None:
-        with frame(pendant, "Wizard"):
-            ui.label("Nothing here yet.")
+
+class _Forms:
+    """What is asked before a task is begun."""
+
+    def __init__(self, pendant: Pendant, place: ui.element, client: Client) -> None:
+        self._pendant = pendant
+        self._place = place
+        self._client = client
+        self._texts: dict[str, ui.input] = {}
+        self._until: ui.switch | None = None
+        self._reference: ui.number | None = None
+
+    def show(self, task: Task) -> None:
+        """Ask for what this task needs."""
+        self._texts = {}
+        self._until = None
+        self._reference = None
+        self._place.clear()
+        with self._place:
+            ui.label(task.title).classes("title").props("role=heading aria-level=1")
+            ui.label(task.hand).classes("hand-words")
+            for fact in task.facts:
+                field = ui.input(f"{fact.label} [mm]").props(
+                    f'hint="{escape(fact.where)}" outlined'
+                )
+                self._texts[fact.key] = field
+            if task.service == CALIBRATE:
+                where = "from scales; put it in when the arm asks for it; empty: none"
+                self._reference = ui.number("Weighed reference [g]", min=0.0, max=5000.0).props(
+                    f'hint="{where}" outlined'
+                )
+            if task.until:
+                self._until = ui.switch("Go on until it is known well enough")
+            start = ui.button("Start", on_click=partial(self._ask, task)).props("no-caps size=lg")
+            start.set_enabled(not self._pendant.read_only)
+
+    async def _ask(self, task: Task) -> None:
+        """Say what will move, and begin when that is confirmed."""
+        try:
+            settings = settings_of(
+                task, {key: str(it.value or "") for key, it in self._texts.items()}
+            )
+            why = self._pendant.may(self._client.id)
+            if why:
+                raise ConfigurationError(why)
+            moves = await self._moves(task)
+        except ConfigurationError as error:
+            ui.notify(str(error), type="negative", timeout=8000)
+            return
+        with ui.dialog() as dialog, ui.card().classes("confirm"):
+            ui.label("The arm will move" if task.parameters else task.title).classes("title")
+            ui.label(task.hand).classes("hand-words")
+            ui.label(moves)
+            ui.label("Keep away from it. STOP, or the space bar, ends it; the arm is then held.")
+            with ui.row():
+                ui.button("Begin", on_click=lambda: dialog.submit(True)).props("no-caps size=lg")
+                ui.button("Not yet", on_click=lambda: dialog.submit(False)).props("flat no-caps")
+        if await dialog:
+            await self._begin(task, settings)
+        dialog.delete()
+
+    async def _moves(self, task: Task) -> str:
+        """What the identifier would have made."""
+        names = await self._pendant.parameters(*task.parameters, "robot", "reference_mass")
+        if names is None:
+            raise ConfigurationError("the identifier does not answer; start it: proprio live")
+        sequences = [str(names[parameter]) for parameter in task.parameters]
+        if self._until is not None and self._until.value:
+            sequences = [task.until]
+        weighs = self._stated_reference(float(names["reference_mass"]))
+        if task.service == CALIBRATE and not weighs:
+            del sequences[1:]
+        robot = await self._pendant.robot()
+        return task.moves or what_moves(sequences, robot)
+
+    def _stated_reference(self, otherwise_kg: float) -> float:
+        """Mass of the reference [kg]; what the identifier has where nothing is typed."""
+        typed = self._reference.value if self._reference is not None else None
+        return otherwise_kg if typed is None else GRAMS * float(typed)
+
+    async def _begin(self, task: Task, settings: list[str]) -> None:
+        """State what the task needs, call its service, and put back what was stated for it alone."""
+        page = self._client.id
+        stated: dict[str, object] = {}
+        if self._reference is not None and self._reference.value is not None:
+            stated["reference_mass"] = self._stated_reference(0.0)
+        before: dict[str, object] = {}
+        if self._until is not None and self._until.value:
+            before = await self._pendant.parameters(*task.parameters) or {}
+            stated |= dict.fromkeys(task.parameters, task.until)
+        try:
+            why = await self._pendant.state(page, stated) if stated else ""
+            if why:
+                raise ConfigurationError(why)
+            call = self._pendant.begin(page, task.service, settings)
+        except ConfigurationError as error:
+            ui.notify(str(error), type="negative", timeout=8000)
+            return
+        if before:
+            call.then = lambda: self._pendant.put_back(before)
+
+
+class _Progress:
+    """The latest call, as every page sees it."""
+
+    def __init__(self, pendant: Pendant, titles: Mapping[str, str]) -> None:
+        self._pendant = pendant
+        self._titles = titles
+        self._shown: tuple[Call | None, bool] = (None, False)
+        with ui.element("section").classes("card progress").props('aria-label="Progress"') as card:
+            self._card = card
+            self._title = ui.label().classes("title")
+            self._bar = ui.linear_progress(0.0, show_value=False).props('aria-label="Runs"')
+            self._said = ui.html().props("role=status")
+            self._answer = ui.html().classes("hand").props('role="status"')
+            with ui.row().classes("after"):
+                self._report = ui.link("Report", "/report", new_tab=True)
+                self._command = ui.label().classes("command")
+        ui.timer(READS_S, self._read, immediate=True)
+
+    def _read(self) -> None:
+        call = self._pendant.calls.latest
+        self._card.set_visibility(call is not None)
+        if call is None:
+            return
+        runs = call.progress
+        number, of = runs or (0, 0)
+        doing = f"run {number} of {of}" if runs else "preparing"
+        if call.cancelled:
+            doing = "stopping; the arm is held"
+        title = self._titles.get(call.service, call.service)
+        self._title.set_text(
+            f"{title}: {doing}, {call.elapsed_s:.0f} s" if call.under_way else title
+        )
+        self._bar.set_visibility(call.under_way)
+        self._bar.set_value((number - 0.5) / of if of else 0.0)
+        said = "".join(f"<p>{escape(words)}</p>" for words in call.said[-LATEST:])
+        self._said.set_content(f'<div class="said">{said}</div>' if call.under_way else "")
+        if (call, call.under_way) != self._shown:
+            self._shown = (call, call.under_way)
+            self._answer.set_content("" if call.under_way else answer(call))
+            self._command.set_text(call.command)
+            self._report.set_visibility(not call.under_way and report_of(call) is not None)

@@ -1,0 +1,171 @@
+"""What the wizard can do: a service each, what has to be in the hand, what is asked, and what will move."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from proprio_ros.errors import ConfigurationError, ProprioError
+from proprio_ros.excitation.plans import ExcitationSequence, load_sequence
+from proprio_ros.probes import all_probes
+from proprio_ros.probes.base import HasBaseline
+from proprio_ros.robot import Robot
+
+CALIBRATE = "calibrate_robot"
+UNTIL = {
+    "calibrate_payload": "payload_until",
+    "calibrate_container": "container_until",
+    "calibrate_softness": "block_until",
+}
+"""Sequences whose pushes are chosen until the answer is narrow enough, by the service that makes them."""
+
+
+@dataclass(frozen=True)
+class Fact:
+    """Something about the object that nobody but the user knows: lengths, asked in mm."""
+
+    key: str
+    label: str
+    where: str  # how to find it
+    count: int = 3
+
+
+COM = Fact(
+    "payload.com",
+    "Centre of mass x, y, z",
+    "from the point between the finger tips; empty: not known",
+)
+FACTS = {
+    "calibrate_payload": (COM,),
+    "calibrate_container": (
+        Fact("container.inner_size", "Inner size x, y, z", "of the box, by a ruler; a cylinder: set it by `proprio call --set`"),
+        Fact("container.centre", "Centre of the box x, y, z", "from the point between the finger tips"),
+        Fact("sphere.radius", "Radius of the ball", "half of what a calliper says", 1),
+    ),
+    "calibrate_softness": (Fact("block.size", "Size of the block x, y, z", "y is the way the fingers press"),),
+}  # fmt: skip
+TITLES = {
+    "calibrate_payload": "Weigh an object",
+    "calibrate_container": "Weigh a ball in a box",
+    "calibrate_softness": "Squeeze a block",
+    "calibrate_contents": "What a container holds",
+    "record_container_baseline": "Record the empty box",
+    "record_contents_baseline": "Record the empty container",
+}
+
+
+@dataclass(frozen=True)
+class Task:
+    """One service.
+
+    Attributes:
+        service: Its name.
+        title: What a person wants.
+        hand: What has to be in the hand.
+        parameters: Of the identifier, that name the sequences it makes; empty: others move the arm, or nobody.
+        moves: What moves, where no sequence says so.
+    """
+
+    service: str
+    title: str
+    hand: str
+    parameters: tuple[str, ...] = ()
+    moves: str = ""
+
+    @property
+    def facts(self) -> Sequence[Fact]:
+        """What is asked."""
+        return FACTS.get(self.service, ())
+
+    @property
+    def until(self) -> str:
+        """The sequence that goes on until sure; empty: there is none."""
+        return UNTIL.get(self.service, "")
+
+
+def tasks() -> list[Task]:
+    """All of them, in the order in which one needs them."""
+    empty = "The hand has to be empty."
+    found = [
+        Task(CALIBRATE, "Calibrate the arm", empty, ("robot_sequence", "reference_sequence")),
+        Task("refresh_robot", "Refresh the calibration", empty, moves="One to five chosen pushes."),
+    ]
+    for probe in all_probes():
+        sequences = (f"{probe.name}_sequence",)
+        if isinstance(probe, HasBaseline):
+            before = f"record_{probe.name}_baseline"
+            title = TITLES.get(before, f"Record the {probe.baseline.noun}")
+            found.append(Task(before, title, _sentence(probe.baseline.hand), sequences))
+        service = f"calibrate_{probe.name}"
+        title = TITLES.get(service, f"Identify the {probe.subject}")
+        held = probe.hand or "the object has to be in the hand"
+        found.append(Task(service, title, _sentence(held), sequences))
+    still = "Nothing is moved by this: whoever moves the arm, moves it."
+    found.append(Task("weigh", "Weigh the last seconds", "The object is in the hand.", moves=still))
+    return found
+
+
+def settings_of(task: Task, texts: Mapping[str, str]) -> list[str]:
+    """What was typed, in mm, as settings in m.
+
+    Args:
+        task: Whose facts they are.
+        texts: By key; empty ones state nothing.
+
+    Raises:
+        ConfigurationError: Something is no length.
+    """
+    found = []
+    for fact in task.facts:
+        text = texts.get(fact.key, "").strip()
+        if not text:
+            continue
+        try:
+            values = [1e-3 * float(word) for word in text.replace(",", " ").split()]
+        except ValueError:
+            values = []
+        if len(values) != fact.count:
+            numbers = "three numbers" if fact.count > 1 else "one number"
+            raise ConfigurationError(f"{fact.label}: write {numbers} in mm, such as 30 20 50")
+        rounded = [round(value, 9) for value in values]
+        found.append(f"{fact.key}={json.dumps(rounded if fact.count > 1 else rounded[0])}")
+    return found
+
+
+def what_moves(names: Sequence[str], robot: Robot | None) -> str:
+    """What sequences will do with an arm, in sentences; what cannot be read here is named."""
+    said = []
+    if robot is None:
+        return f"The arm makes {', then '.join(names)}."
+    for name in names:
+        try:
+            said.append(_moves(load_sequence(name, robot), robot))
+        except ProprioError as error:
+            said.append(f"{name} cannot be made: {error}.")
+    return " ".join(said)
+
+
+def _moves(plan: ExcitationSequence, robot: Robot) -> str:
+    """One sequence."""
+    if not plan.runs:
+        return f"{plan.name}: pushes are chosen one by one, within the arm's limits."
+    travels: dict[str, float] = {}
+    for run in plan.runs:
+        travels[run.joint] = max(run.max_travel, travels.get(run.joint, 0.0))
+    ways = []
+    for joint, travel in travels.items():
+        slides = robot.model.joint(joint).kind == "prismatic"
+        ways.append(f"{joint} by {1e3 * travel:g} mm" if slides else f"{joint} by {travel:g} rad")
+    peaks = [abs(run.current_A) + abs(run.shake_A) for run in plan.runs]
+    peaks += [run.max_current_A or 0.0 for run in plan.runs]
+    more = ", then chosen ones" if plan.until is not None else ""
+    count = f"{len(plan.runs)} push{'es' * (len(plan.runs) > 1)}"
+    return (
+        f"{plan.name}: {count}{more}, {', '.join(ways)} at most, with up to {max(peaks):.2f} A. Before each the arm goes to a "
+        "start pose."
+    )
+
+
+def _sentence(words: str) -> str:
+    return f"{words[:1].upper()}{words[1:].rstrip('.')}."
