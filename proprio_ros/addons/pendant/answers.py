@@ -35,10 +35,20 @@ def report_of(call: Call | None) -> Path | None:
 def answer(call: Call) -> str:
     """All that came of it."""
     found = call.answer or {}
-    message = str(found.get("message", ""))
+    message = str(
+        found.get(
+            "message",
+            "",
+        )
+    )
     estimate = found.get("estimate") or {}
     number, interval = answer_of(estimate)
-    verdict = str(estimate.get("verdict", ""))
+    verdict = str(
+        estimate.get(
+            "verdict",
+            "",
+        )
+    )
     if not verdict:
         verdict = "done" if found.get("success") else "not done"
     kind = "good" if found.get("success") else "bad"
@@ -49,7 +59,10 @@ def answer(call: Call) -> str:
     ]
     if not number:
         lines.append(f'<p class="state">{escape(_KEPT.sub("", message).strip("; "))}</p>')
-    return "".join(lines) + _reasons(estimate, message)
+    return "".join(lines) + _reasons(
+        estimate,
+        message,
+    )
 
 
 def _reasons(estimate: Mapping[str, Any], message: str) -> str:
@@ -71,4 +84,10 @@ def _codes(message: str) -> list[str]:
         kept = json.loads((folder / "estimate.json").read_text()) if folder else {}
     except (OSError, ValueError):
         return []
-    return [str(code) for code in kept.get("reason_codes", [])]
+    return [
+        str(code)
+        for code in kept.get(
+            "reason_codes",
+            [],
+        )
+    ]

@@ -82,7 +82,13 @@ class Call:
         """Until it is answered."""
         try:
             self._process = await asyncio.create_subprocess_exec(
-                *(sys.executable, "-m", "proprio_ros.cli", *self.words, "--json"),
+                *(
+                    sys.executable,
+                    "-m",
+                    "proprio_ros.cli",
+                    *self.words,
+                    "--json",
+                ),
                 stdin=DEVNULL,
                 stdout=PIPE,
                 stderr=PIPE,
@@ -92,7 +98,10 @@ class Call:
             )
             if self.cancelled:
                 self._interrupt()
-            printed, _ = await asyncio.gather(self._printed(), self._listen())
+            printed, _ = await asyncio.gather(
+                self._printed(),
+                self._listen(),
+            )
             self.answer = _answer(printed, self.said)
         finally:
             self.seconds = monotonic() - self._begun_s
@@ -110,7 +119,10 @@ class Call:
         """Wait until it has ended, so long at most."""
         if self._process is not None:
             with contextlib.suppress(TimeoutError, asyncio.TimeoutError):
-                await asyncio.wait_for(self._process.wait(), seconds)
+                await asyncio.wait_for(
+                    self._process.wait(),
+                    seconds,
+                )
 
     def _interrupt(self) -> None:
         if self._process is not None and self._process.returncode is None:
@@ -134,7 +146,11 @@ def _answer(printed: bytes, said: Sequence[str]) -> dict[str, Any]:
     except ValueError:
         found = {}
     message = found.get("message") or found.get("error") or (said[-1] if said else "no answer")
-    return {**found, "success": bool(found.get("success")), "message": message}
+    return {
+        **found,
+        "success": bool(found.get("success")),
+        "message": message,
+    }
 
 
 class Calls:
@@ -155,7 +171,11 @@ class Calls:
     def begin(self, service: str, settings: Sequence[str] = ()) -> Call:
         """Call a service, while none is under way."""
         assert self.under_way is None
-        self.latest = call = Call(service, settings, self._namespace)
+        self.latest = call = Call(
+            service,
+            settings,
+            self._namespace,
+        )
         self._tell(call.command)
         self._task = asyncio.create_task(call.run())
         return call

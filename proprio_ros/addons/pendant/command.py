@@ -33,8 +33,16 @@ def add_parser(add: Callable[..., Parser]) -> None:
     it.add_argument(
         "--virtual", action="store_true", help="start a virtual arm, as `proprio live --virtual`"
     )
-    it.add_argument("--object", metavar="OBJECT", help="in the virtual hand, as for `live`")
-    it.add_argument("--read-only", action="store_true", help="look only; STOP stops all the same")
+    it.add_argument(
+        "--object",
+        metavar="OBJECT",
+        help="in the virtual hand, as for `live`",
+    )
+    it.add_argument(
+        "--read-only",
+        action="store_true",
+        help="look only; STOP stops all the same",
+    )
     it.add_argument(
         "--host",
         default="127.0.0.1",
@@ -42,8 +50,19 @@ def add_parser(add: Callable[..., Parser]) -> None:
         help="to be found at (default 127.0.0.1, from this computer only; 0.0.0.0: from the network, unencrypted)",
     )
     port = f"of the page (default {PORT}; 0: a free one)"
-    it.add_argument("--port", type=int, default=PORT, metavar="N", help=port)
-    it.add_argument("--namespace", default="", metavar="NAME", help="of the nodes, as for `live`")
+    it.add_argument(
+        "--port",
+        type=int,
+        default=PORT,
+        metavar="N",
+        help=port,
+    )
+    it.add_argument(
+        "--namespace",
+        default="",
+        metavar="NAME",
+        help="of the nodes, as for `live`",
+    )
 
 
 def pendant(options: argparse.Namespace, given: Sequence[str]) -> int:
@@ -62,10 +81,20 @@ def pendant(options: argparse.Namespace, given: Sequence[str]) -> int:
 
     def begin() -> None:
         if options.virtual:
-            started.append(_virtual(namespace, options.object))
+            started.append(
+                _virtual(
+                    namespace,
+                    options.object,
+                )
+            )
 
     try:
-        serve(Pendant(namespace, say, options.read_only), options.host, options.port, begin)
+        serve(
+            Pendant(namespace, say, options.read_only),
+            options.host,
+            options.port,
+            begin,
+        )
     except KeyboardInterrupt:
         pass  # asked for
     finally:
@@ -77,7 +106,13 @@ def pendant(options: argparse.Namespace, given: Sequence[str]) -> int:
 
 def _virtual(namespace: str, held: str | None) -> subprocess.Popen[bytes]:
     """A virtual arm with its nodes, which end with this process."""
-    words = [sys.executable, "-m", "proprio_ros.cli", "live", "--virtual"]
+    words = [
+        sys.executable,
+        "-m",
+        "proprio_ros.cli",
+        "live",
+        "--virtual",
+    ]
     if namespace:
         words += ["--namespace", namespace]
     if held is not None:

@@ -39,9 +39,18 @@ def ends_of(model: RobotModel) -> dict[str, Ends]:
 def along(way: np.ndarray) -> np.ndarray:
     """A rotation that turns y, along which cylinders are made, to a way, shape (3, 3)."""
     to = way / np.linalg.norm(way)
-    aside = np.cross(to, [1.0, 0.0, 0.0] if abs(to[0]) < abs(to[2]) else [0.0, 0.0, 1.0])
+    aside = np.cross(
+        to,
+        [1.0, 0.0, 0.0] if abs(to[0]) < abs(to[2]) else [0.0, 0.0, 1.0],
+    )
     aside /= np.linalg.norm(aside)
-    return np.column_stack([np.cross(to, aside), to, aside])
+    return np.column_stack(
+        [
+            np.cross(to, aside),
+            to,
+            aside,
+        ]
+    )
 
 
 class Drawing:
@@ -57,7 +66,17 @@ class Drawing:
         self._shown: dict[str, float] = {}
         ends = ends_of(model)
         origins = [joint.origin[:3, 3] for joint in model.joints]
-        reach = float(sum(map(np.linalg.norm, origins))) or 1.0
+        reach = (
+            float(
+                sum(
+                    map(
+                        np.linalg.norm,
+                        origins,
+                    )
+                )
+            )
+            or 1.0
+        )
         self.scene = _scene(reach)
         self._groups = {}
         with self.scene:
@@ -65,13 +84,24 @@ class Drawing:
                 with self.scene.group() as group:
                     self._groups[link.name] = group
                     for at, turns in ends[link.name]:
-                        _bar(self.scene, at, SLIM * reach, turns)
+                        _bar(
+                            self.scene,
+                            at,
+                            SLIM * reach,
+                            turns,
+                        )
                     if link.name == hand:
                         self.scene.sphere(1.6 * SLIM * reach).material(HAND)
 
     def show(self, positions: Mapping[str, float]) -> None:
         """Where the joints are now [rad or m]; those that are not known stand at zero."""
-        pose = {**dict.fromkeys(self._model.independent_joints, 0.0), **positions}
+        pose = {
+            **dict.fromkeys(
+                self._model.independent_joints,
+                0.0,
+            ),
+            **positions,
+        }
         if self._shown and all(abs(pose[name] - at) < SEEN for name, at in self._shown.items()):
             return
         self._shown = {name: pose[name] for name in self._model.independent_joints}
@@ -101,7 +131,12 @@ def _bar(scene: Scene, at: np.ndarray, radius_m: float, turns: bool) -> None:
     """From the link's own origin to a point in its frame."""
     length = float(np.linalg.norm(at))
     if length > radius_m:
-        bar = scene.cylinder(radius_m, radius_m, length, 16).material(BAR)
+        bar = scene.cylinder(
+            radius_m,
+            radius_m,
+            length,
+            16,
+        ).material(BAR)
         bar.move(*(0.5 * at).tolist()).rotate_R(along(at).tolist())
     if turns:
         scene.sphere(1.5 * radius_m).move(*at.tolist()).material(JOINT)

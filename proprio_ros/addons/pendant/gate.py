@@ -17,7 +17,14 @@ from urllib.parse import parse_qs, urlsplit
 Scope = MutableMapping[str, Any]
 Receive = Callable[[], Awaitable[MutableMapping[str, Any]]]
 Send = Callable[[MutableMapping[str, Any]], Awaitable[None]]
-App = Callable[[Scope, Receive, Send], Awaitable[None]]
+App = Callable[
+    [
+        Scope,
+        Receive,
+        Send,
+    ],
+    Awaitable[None],
+]
 
 COOKIE = "proprio_pendant"
 METHODS = ("GET", "HEAD", "POST")
@@ -52,7 +59,13 @@ class Gate:
             return
         why = self._refusal(scope)
         if why and scope["type"] == "websocket":
-            await send({"type": "websocket.close", "code": 1008, "reason": why})
+            await send(
+                {
+                    "type": "websocket.close",
+                    "code": 1008,
+                    "reason": why,
+                }
+            )
         elif why:
             await _answer(send, REFUSED, f"{why}\n")
         elif self._shown(scope):
@@ -65,7 +78,11 @@ class Gate:
                 (b"set-cookie", cookie.encode()),
             )
         else:
-            await self.app(scope, receive, _with_headers(send))
+            await self.app(
+                scope,
+                receive,
+                _with_headers(send),
+            )
 
     def _refusal(self, scope: Scope) -> str:
         """Why this may not come in; empty: it may."""
@@ -98,7 +115,14 @@ class Gate:
 
     def _known(self, scope: Scope) -> bool:
         """Whether it has the cookie."""
-        pairs = [pair.strip() for line in _values(scope, b"cookie") for pair in line.split(";")]
+        pairs = [
+            pair.strip()
+            for line in _values(
+                scope,
+                b"cookie",
+            )
+            for pair in line.split(";")
+        ]
         found = [pair.partition("=")[2] for pair in pairs if pair.startswith(f"{COOKIE}=")]
         return len(found) == 1 and self._is_token(found[0])
 
@@ -106,11 +130,17 @@ class Gate:
         """Whether it has the token in its address: the one that the terminal showed, opened as a page."""
         if scope["type"] != "http" or scope["method"] != "GET":
             return False
-        given = parse_qs(scope["query_string"].decode("latin-1")).get("token", [])
+        given = parse_qs(scope["query_string"].decode("latin-1")).get(
+            "token",
+            [],
+        )
         return len(given) == 1 and self._is_token(given[0])
 
     def _is_token(self, text: str) -> bool:
-        return hmac.compare_digest(text.encode(), self._token.encode())
+        return hmac.compare_digest(
+            text.encode(),
+            self._token.encode(),
+        )
 
 
 def _values(scope: Scope, name: bytes) -> list[str]:
@@ -119,8 +149,18 @@ def _values(scope: Scope, name: bytes) -> list[str]:
 
 async def _answer(send: Send, status: int, text: str, *headers: tuple[bytes, bytes]) -> None:
     """A short answer of our own."""
-    whole = [(b"content-type", b"text/plain; charset=utf-8"), *HEADERS, *headers]
-    await send({"type": "http.response.start", "status": status, "headers": whole})
+    whole = [
+        (b"content-type", b"text/plain; charset=utf-8"),
+        *HEADERS,
+        *headers,
+    ]
+    await send(
+        {
+            "type": "http.response.start",
+            "status": status,
+            "headers": whole,
+        }
+    )
     await send({"type": "http.response.body", "body": text.encode()})
 
 

@@ -32,7 +32,10 @@ NODES_S = 1.0
 ANSWER_S = 5.0
 """So long a node may take for a small question."""
 OURS = ("driver", "excitation", "identifier", "virtual")
-NEWEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
+NEWEST = QoSProfile(
+    depth=1,
+    reliability=ReliabilityPolicy.BEST_EFFORT,
+)
 STOPS = ("excitation/abort", "identifier/cancel")
 """Both leave the arm held: the push ends, and the job with it."""
 
@@ -53,7 +56,10 @@ class Listener:
         self._base = f"/{namespace}" if namespace else ""
         middleware.prepare()
         try:
-            rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
+            rclpy.init(
+                args=[],
+                signal_handler_options=SignalHandlerOptions.NO,
+            )
             self._node = Node("proprio_pendant")
         except RuntimeError as error:
             raise ConfigurationError(f"no pendant: {middleware.said_by_rcl(error)}") from error
@@ -66,7 +72,11 @@ class Listener:
         self._gets = self._client(GetParameters, f"{name}/get_parameters")
         self._sets = self._client(SetParameters, f"{name}/set_parameters")
         self._ended = threading.Event()
-        self._thread = threading.Thread(target=self._spin, name="listener", daemon=True)
+        self._thread = threading.Thread(
+            target=self._spin,
+            name="listener",
+            daemon=True,
+        )
         self._thread.start()
 
     def close(self) -> None:
@@ -86,15 +96,33 @@ class Listener:
 
     def parameters(self, *names: str) -> dict[str, Any] | None:
         """Those of the identifier; blocks for so long as it may take. None: it does not answer."""
-        answer = self._asked(self._gets, GetParameters.Request(names=list(names)))
+        answer = self._asked(
+            self._gets,
+            GetParameters.Request(names=list(names)),
+        )
         if answer is None or len(answer.values) != len(names):
             return None
-        return dict(zip(names, map(parameter_value_to_python, answer.values), strict=True))
+        return dict(
+            zip(
+                names,
+                map(parameter_value_to_python, answer.values),
+                strict=True,
+            )
+        )
 
     def state(self, values: Mapping[str, Any]) -> str:
         """Set parameters of the identifier; why it refuses, empty where it does not. Blocks as `parameters` does."""
-        stated = [Parameter(name, value=value).to_parameter_msg() for name, value in values.items()]
-        answer = self._asked(self._sets, SetParameters.Request(parameters=stated))
+        stated = [
+            Parameter(
+                name,
+                value=value,
+            ).to_parameter_msg()
+            for name, value in values.items()
+        ]
+        answer = self._asked(
+            self._sets,
+            SetParameters.Request(parameters=stated),
+        )
         if answer is None:
             return "the identifier does not answer; start the nodes: proprio live"
         refused = [str(result.reason) for result in answer.results if not result.successful]
@@ -127,7 +155,12 @@ class Listener:
             (Bool, f"{identifier}/holding", lambda said: hear("holding", bool(said.data)), LATCHED),
             (Float64MultiArray, f"{self._base}/motor_temperatures", self._on_motors, NEWEST),
         ):
-            subscription = self._node.create_subscription(kind, topic, take, quality)
+            subscription = self._node.create_subscription(
+                kind,
+                topic,
+                take,
+                quality,
+            )
             self._takes.append((subscription, take))
 
     def _spin(self) -> None:
@@ -147,10 +180,17 @@ class Listener:
         self._news.nodes = frozenset(ours & set(OURS))
 
     def _on_states(self, message: JointState) -> None:
-        self._news.hear_states(list(message.name), list(message.position), list(message.effort))
+        self._news.hear_states(
+            list(message.name),
+            list(message.position),
+            list(message.effort),
+        )
 
     def _on(self, about: str) -> Any:
-        return lambda message: self._news.hear(about, _said(message))
+        return lambda message: self._news.hear(
+            about,
+            _said(message),
+        )
 
     def _on_estimate(self, message: DiagnosticArray) -> None:
         now_ns = int(self._node.get_clock().now().nanoseconds)
@@ -158,7 +198,10 @@ class Listener:
         for status in message.status:
             said = _said(status)
             final = said.values.get("final") == "true"
-            self._news.hear_estimate(said, max(late_s, 0.0) if final else 0.0)
+            self._news.hear_estimate(
+                said,
+                max(late_s, 0.0) if final else 0.0,
+            )
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         driver = f"{self._base}/driver: ".lstrip("/")
@@ -168,17 +211,35 @@ class Listener:
             self._news.hear("diagnostics", found)
 
     def _on_motors(self, message: Float64MultiArray) -> None:
-        self._news.hear("temperatures", messages.by_joint(message, ()))
+        self._news.hear(
+            "temperatures",
+            messages.by_joint(message, ()),
+        )
 
 
 def _take_newest(subscription: Any, take: Callable[[Any], None]) -> None:
     """Without waiting for it, which costs an executor many times as much."""
     with subscription.handle:
-        taken = subscription.handle.take_message(subscription.msg_type, subscription.raw)
+        taken = subscription.handle.take_message(
+            subscription.msg_type,
+            subscription.raw,
+        )
     if taken is not None:
         take(taken[0])
 
 
 def _said(message: DiagnosticStatus) -> Said:
-    level = message.level[0] if isinstance(message.level, bytes) else int(message.level)
-    return Said(level, str(message.name), str(message.message), messages.values_of(message))
+    level = (
+        message.level[0]
+        if isinstance(
+            message.level,
+            bytes,
+        )
+        else int(message.level)
+    )
+    return Said(
+        level,
+        str(message.name),
+        str(message.message),
+        messages.values_of(message),
+    )

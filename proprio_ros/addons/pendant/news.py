@@ -12,7 +12,13 @@ from typing import Any
 
 CURVE_S = 60.0
 """So much of the mass is kept."""
-OLD_S = {"states": 1.0, "running": 1.0, "excitation": 6.0, "driver": 6.0, "diagnostics": 6.0}
+OLD_S = {
+    "states": 1.0,
+    "running": 1.0,
+    "excitation": 6.0,
+    "driver": 6.0,
+    "diagnostics": 6.0,
+}
 """From then on news is old. What is not here is said once and stands until it is said anew."""
 
 
@@ -63,11 +69,17 @@ class News:
 
     def age_s(self, about: str) -> float:
         """How long ago that was; infinite: never."""
-        return self.now() - self._heard_s.get(about, -math.inf)
+        return self.now() - self._heard_s.get(
+            about,
+            -math.inf,
+        )
 
     def is_old(self, about: str) -> bool:
         """Whether it was never heard, or too long ago."""
-        return self.age_s(about) > OLD_S.get(about, math.inf)
+        return self.age_s(about) > OLD_S.get(
+            about,
+            math.inf,
+        )
 
     def hear_states(self, names: list[str], positions: list[float], efforts: list[float]) -> None:
         """Joint states.
@@ -79,7 +91,13 @@ class News:
         """
         known = zip(names, positions, strict=False)
         self.positions.update((name, at) for name, at in known if math.isfinite(at))
-        self.efforts.update(zip(names, efforts, strict=False))
+        self.efforts.update(
+            zip(
+                names,
+                efforts,
+                strict=False,
+            )
+        )
         self.hear("states")
 
     def hear_estimate(self, said: Said, late_s: float = 0.0) -> None:
@@ -93,7 +111,10 @@ class News:
         self._heard_s["estimate"] -= late_s
         if said.values.get("running") == "true":
             self.hear("running")
-        point = _point(self._heard_s["estimate"], said.values)
+        point = _point(
+            self._heard_s["estimate"],
+            said.values,
+        )
         if point is None:
             return
         self.curve.append(point)
@@ -104,7 +125,13 @@ class News:
     def is_running(self) -> bool:
         """Whether the newest estimate is that of the arm at work, which is made anew all the time."""
         said = self.entries.get("estimate")
-        return isinstance(said, Said) and said.values.get("running") == "true"
+        return (
+            isinstance(
+                said,
+                Said,
+            )
+            and said.values.get("running") == "true"
+        )
 
     @property
     def points(self) -> list[Point]:
@@ -112,12 +139,29 @@ class News:
         now_s = self.now()
         found = [point for point in self.curve if now_s - point.at_s < CURVE_S]
         said = self.entries.get("estimate")
-        if self.curve and isinstance(said, Said) and said.values.get("final") == "true":
+        if (
+            self.curve
+            and isinstance(
+                said,
+                Said,
+            )
+            and said.values.get("final") == "true"
+        ):
             newest = self.curve[-1]
             if newest.at_s == self._heard_s["estimate"]:
                 if not found:
-                    found = [replace(newest, at_s=now_s - CURVE_S)]
-                found.append(replace(newest, at_s=now_s))
+                    found = [
+                        replace(
+                            newest,
+                            at_s=now_s - CURVE_S,
+                        )
+                    ]
+                found.append(
+                    replace(
+                        newest,
+                        at_s=now_s,
+                    )
+                )
         return found
 
     @property
@@ -126,10 +170,18 @@ class News:
         found = [
             entry
             for about, entry in self.entries.items()
-            if isinstance(entry, Said) and entry.level > 0 and not self.is_old(about)
+            if isinstance(
+                entry,
+                Said,
+            )
+            and entry.level > 0
+            and not self.is_old(about)
         ]
         found += [each for each in self.diagnostics if each.level > 0]
-        ordered = sorted(found, key=lambda said: -said.level)
+        ordered = sorted(
+            found,
+            key=lambda said: -said.level,
+        )
         return list(dict.fromkeys(said.message for said in ordered))
 
     @property
@@ -146,4 +198,9 @@ def _point(at_s: float, values: Mapping[str, str]) -> Point | None:
         low, high = json.loads(values[f"{name}.ci95"])
     except (KeyError, ValueError, TypeError):
         return None
-    return Point(at_s, mass, float(low), float(high))
+    return Point(
+        at_s,
+        mass,
+        float(low),
+        float(high),
+    )

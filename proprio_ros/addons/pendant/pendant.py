@@ -56,7 +56,10 @@ class Pendant:
         except ConfigurationError as error:
             self.no_ros = str(error)
             return
-        self._listener = listening.Listener(self.news, self.namespace)
+        self._listener = listening.Listener(
+            self.news,
+            self.namespace,
+        )
 
     async def close(self) -> None:
         """End what is under way, and have the arm held."""
@@ -124,13 +127,19 @@ class Pendant:
             return None
         name = str(found["robot"])
         if name not in self._robots:
-            self._robots[name] = await asyncio.to_thread(_robot, name)
+            self._robots[name] = await asyncio.to_thread(
+                _robot,
+                name,
+            )
         return self._robots[name]
 
     async def put_back(self, values: Mapping[str, Any]) -> None:
         """State parameters as they were before a call that is over."""
         if self._listener is not None:
-            refused = await asyncio.to_thread(self._listener.state, values)
+            refused = await asyncio.to_thread(
+                self._listener.state,
+                values,
+            )
             if refused:
                 self.tell(f"{', '.join(values)} could not be put back: {refused}")
 
@@ -144,7 +153,10 @@ class Pendant:
         why = self.may(page)
         if why or self._listener is None:
             return why
-        return await asyncio.to_thread(self._listener.state, values)
+        return await asyncio.to_thread(
+            self._listener.state,
+            values,
+        )
 
 
 def _robot(name: str) -> Robot | None:

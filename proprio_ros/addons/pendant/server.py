@@ -62,7 +62,10 @@ def serve(pendant: Pendant, host: str, port: int, begin: Callable[[], object]) -
 def _bound(host: str, port: int) -> socket.socket:
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     try:
-        return socket.create_server((host, port), family=family)
+        return socket.create_server(
+            (host, port),
+            family=family,
+        )
     except OSError as error:
         raise ConfigurationError(
             f"{host} port {port}: {error.strerror or error}; choose another with --host and --port"
@@ -71,7 +74,11 @@ def _bound(host: str, port: int) -> socket.socket:
 
 def _site(pendant: Pendant) -> FastAPI:
     """The application: pages, and STOP as a request of its own that needs no page to be well."""
-    site = FastAPI(docs_url=None, redoc_url=None, openapi_url=None)
+    site = FastAPI(
+        docs_url=None,
+        redoc_url=None,
+        openapi_url=None,
+    )
 
     @site.post("/stop")
     async def stop() -> PlainTextResponse:

@@ -43,7 +43,7 @@ FACTS = {
         Fact("container.centre", "Centre of the box x, y, z", "from the point between the finger tips"),
         Fact("sphere.radius", "Radius of the ball", "half of what a calliper says", 1),
     ),
-    "calibrate_softness": (Fact("block.size", "Size of the block x, y, z", "y is the way the fingers press"),),
+    "calibrate_softness": (Fact("block.size", "Size of the block x, y, z", "y is the way the fingers press",),),
 }  # fmt: skip
 TITLES = {
     "calibrate_payload": "Weigh an object",
@@ -88,21 +88,52 @@ def tasks() -> list[Task]:
     """All of them, in the order in which one needs them."""
     empty = "The hand has to be empty."
     found = [
-        Task(CALIBRATE, "Calibrate the arm", empty, ("robot_sequence", "reference_sequence")),
-        Task("refresh_robot", "Refresh the calibration", empty, moves="One to five chosen pushes."),
+        Task(
+            CALIBRATE,
+            "Calibrate the arm",
+            empty,
+            ("robot_sequence", "reference_sequence"),
+        ),
+        Task(
+            "refresh_robot",
+            "Refresh the calibration",
+            empty,
+            moves="One to five chosen pushes.",
+        ),
     ]
     for probe in all_probes():
         sequences = (f"{probe.name}_sequence",)
         if isinstance(probe, HasBaseline):
             before = f"record_{probe.name}_baseline"
             title = TITLES.get(before, f"Record the {probe.baseline.noun}")
-            found.append(Task(before, title, _sentence(probe.baseline.hand), sequences))
+            found.append(
+                Task(
+                    before,
+                    title,
+                    _sentence(probe.baseline.hand),
+                    sequences,
+                )
+            )
         service = f"calibrate_{probe.name}"
         title = TITLES.get(service, f"Identify the {probe.subject}")
         held = probe.hand or "the object has to be in the hand"
-        found.append(Task(service, title, _sentence(held), sequences))
+        found.append(
+            Task(
+                service,
+                title,
+                _sentence(held),
+                sequences,
+            )
+        )
     still = "Nothing is moved by this: whoever moves the arm, moves it."
-    found.append(Task("weigh", "Weigh the last seconds", "The object is in the hand.", moves=still))
+    found.append(
+        Task(
+            "weigh",
+            "Weigh the last seconds",
+            "The object is in the hand.",
+            moves=still,
+        )
+    )
     return found
 
 
@@ -118,17 +149,32 @@ def settings_of(task: Task, texts: Mapping[str, str]) -> list[str]:
     """
     found = []
     for fact in task.facts:
-        text = texts.get(fact.key, "").strip()
+        text = texts.get(
+            fact.key,
+            "",
+        ).strip()
         if not text:
             continue
         try:
-            values = [1e-3 * float(word) for word in text.replace(",", " ").split()]
+            values = [
+                1e-3 * float(word)
+                for word in text.replace(
+                    ",",
+                    " ",
+                ).split()
+            ]
         except ValueError:
             values = []
         if len(values) != fact.count:
             numbers = "three numbers" if fact.count > 1 else "one number"
             raise ConfigurationError(f"{fact.label}: write {numbers} in mm, such as 30 20 50")
-        rounded = [round(value, 9) for value in values]
+        rounded = [
+            round(
+                value,
+                9,
+            )
+            for value in values
+        ]
         found.append(f"{fact.key}={json.dumps(rounded if fact.count > 1 else rounded[0])}")
     return found
 
@@ -140,7 +186,12 @@ def what_moves(names: Sequence[str], robot: Robot | None) -> str:
         return f"The arm makes {', then '.join(names)}."
     for name in names:
         try:
-            said.append(_moves(load_sequence(name, robot), robot))
+            said.append(
+                _moves(
+                    load_sequence(name, robot),
+                    robot,
+                )
+            )
         except ProprioError as error:
             said.append(f"{name} cannot be made: {error}.")
     return " ".join(said)
@@ -152,7 +203,10 @@ def _moves(plan: ExcitationSequence, robot: Robot) -> str:
         return f"{plan.name}: pushes are chosen one by one, within the arm's limits."
     travels: dict[str, float] = {}
     for run in plan.runs:
-        travels[run.joint] = max(run.max_travel, travels.get(run.joint, 0.0))
+        travels[run.joint] = max(
+            run.max_travel,
+            travels.get(run.joint, 0.0),
+        )
     ways = []
     for joint, travel in travels.items():
         slides = robot.model.joint(joint).kind == "prismatic"

@@ -29,8 +29,25 @@ def age_in_words(seconds: float) -> str:
 def _numbers(text: Any) -> list[float]:
     """Of a text or a list; empty where it has none."""
     try:
-        values = json.loads(text) if isinstance(text, str) else text
-        return [float(value) for value in (values if isinstance(values, list) else [values])]
+        values = (
+            json.loads(text)
+            if isinstance(
+                text,
+                str,
+            )
+            else text
+        )
+        return [
+            float(value)
+            for value in (
+                values
+                if isinstance(
+                    values,
+                    list,
+                )
+                else [values]
+            )
+        ]
     except (ValueError, TypeError):
         return []
 
@@ -48,12 +65,28 @@ def answer_of(values: Mapping[str, Any]) -> tuple[str, str]:
     value = _numbers(values.get(name))
     ends = _numbers(values.get(f"{name}.ci95"))
     std = _numbers(values.get(f"{name}.std"))
-    if not value or len(ends) != 2 or not all(map(math.isfinite, [*value, *ends])):
+    if (
+        not value
+        or len(ends) != 2
+        or not all(
+            map(
+                math.isfinite,
+                [*value, *ends],
+            )
+        )
+    ):
         return "", ""
     unit = str(values.get(f"{name}.unit", ""))
-    spec = spec_for(unit, std[0] if std else None)
+    spec = spec_for(
+        unit,
+        std[0] if std else None,
+    )
     return (
-        shown(unit, value[0], spec=spec),
+        shown(
+            unit,
+            value[0],
+            spec=spec,
+        ),
         f"95 % interval {shown(unit, *ends, spec=spec)}",
     )
 
@@ -63,10 +96,23 @@ def hand(news: News) -> str:
     said = news.entries.get("estimate")
     running = news.is_running
     about = "running" if running else "estimate"
-    number, interval = answer_of(said.values) if isinstance(said, Said) else ("", "")
+    number, interval = (
+        answer_of(said.values)
+        if isinstance(
+            said,
+            Said,
+        )
+        else ("", "")
+    )
     age = news.age_s(about)
     old = news.is_old(about)
-    final = isinstance(said, Said) and said.values.get("final") == "true"
+    final = (
+        isinstance(
+            said,
+            Said,
+        )
+        and said.values.get("final") == "true"
+    )
     how = "running estimate" if running else "answer" if final else "so far"
     lines = [
         f'<p class="number{" old" * old}">{escape(number) or "&ndash;"}</p>',
@@ -87,7 +133,10 @@ def _holding(news: News) -> str:
     if isinstance(carries, Said):
         most = _numbers(carries.values.get("most"))
         can = {"true": "can carry it here", "false": "can NOT carry it here"}
-        said = can.get(carries.values.get("can_carry", ""), "")
+        said = can.get(
+            carries.values.get("can_carry", ""),
+            "",
+        )
         if said and most:
             words += f"{'; ' * bool(words)}the arm {said}, {shown('kg', most[0])} at most"
     return words
@@ -99,12 +148,39 @@ def lights(news: News) -> str:
     for name in LIGHTS:
         said = news.entries.get(name)
         there = name in news.nodes
-        level = said.level if isinstance(said, Said) and there else 0
-        words = said.message.partition(";")[0] if isinstance(said, Said) else ""
+        level = (
+            said.level
+            if isinstance(
+                said,
+                Said,
+            )
+            and there
+            else 0
+        )
+        words = (
+            said.message.partition(";")[0]
+            if isinstance(
+                said,
+                Said,
+            )
+            else ""
+        )
         if not there:
-            rows.append(_light("old", name, "is not there; start it: proprio live"))
+            rows.append(
+                _light(
+                    "old",
+                    name,
+                    "is not there; start it: proprio live",
+                )
+            )
         else:
-            rows.append(_light(LEVELS[min(level, 2)], name, words or "is there"))
+            rows.append(
+                _light(
+                    LEVELS[min(level, 2)],
+                    name,
+                    words or "is there",
+                )
+            )
     states = news.age_s("states")
     kind = "old" if news.is_old("states") else "good"
     rows.append(_light(kind, "joint states", f"the newest came {age_in_words(states)}"))
@@ -116,7 +192,12 @@ def lights(news: News) -> str:
 
 
 def _light(kind: str, name: str, words: str) -> str:
-    state = {"good": "well", "warning": "warning", "bad": "error", "old": "silent"}[kind]
+    state = {
+        "good": "well",
+        "warning": "warning",
+        "bad": "error",
+        "old": "silent",
+    }[kind]
     return (
         f'<li class="{kind}"><b>{escape(name)}</b> <span class="unseen">{state}:</span> '
         f"<span>{escape(words)}</span></li>"
@@ -134,16 +215,32 @@ def joints(news: News) -> str:
     rows = []
     for name, at in news.positions.items():
         servo = servos.get(name)
-        effort = news.efforts.get(name, math.nan)
+        effort = news.efforts.get(
+            name,
+            math.nan,
+        )
         values = servo.values if servo else {}
         cells = [
             f"{at:.3f}",
             f"{effort:.2f}" if math.isfinite(effort) else "&ndash;",
-            escape(values.get("temperature [C]", "&ndash;").removesuffix(".0")),
+            escape(
+                values.get(
+                    "temperature [C]",
+                    "&ndash;",
+                ).removesuffix(".0")
+            ),
             escape(servo.message) if servo else "&ndash;",
         ]
-        rows.append(_row("td", [escape(name), *cells]))
-    head = _row("th", ["joint", "rad, m", "N m, N", "&deg;C", "motor"])
+        rows.append(
+            _row(
+                "td",
+                [escape(name), *cells],
+            )
+        )
+    head = _row(
+        "th",
+        ["joint", "rad, m", "N m, N", "&deg;C", "motor"],
+    )
     if not rows:
         return '<p class="small">No joint states are coming.</p>'
     old = ' class="old"' if news.is_old("states") else ""

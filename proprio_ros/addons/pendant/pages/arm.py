@@ -55,7 +55,10 @@ class _Sight:
         self._drawing: Drawing | None = None
         with place:
             self._waits = ui.label("Waiting for the identifier, which knows the arm.")
-        self._looks = ui.timer(1.0, self._look)
+        self._looks = ui.timer(
+            1.0,
+            self._look,
+        )
 
     async def _look(self) -> None:
         found = await self._pendant.robot()
@@ -64,7 +67,10 @@ class _Sight:
         self._looks.deactivate()
         self._waits.delete()
         with self._place:
-            self._drawing = Drawing(found.model, found.payload_frame)
+            self._drawing = Drawing(
+                found.model,
+                found.payload_frame,
+            )
         with self._place:
             ui.timer(MOVES_S, self._move)
 
@@ -81,14 +87,37 @@ class _Sight:
 def _curve() -> ui.echart:
     """The mass of the last minute, with its interval."""
     axis = {"axisLabel": {"color": GREY}, "splitLine": {"lineStyle": {"color": f"{GREY}40"}}}
-    line = {"type": "line", "symbol": "none", "data": [], "animation": False}
-    band = {**line, "stack": "band", "lineStyle": {"opacity": 0}}
+    line = {
+        "type": "line",
+        "symbol": "none",
+        "data": [],
+        "animation": False,
+    }
+    band = {
+        **line,
+        "stack": "band",
+        "lineStyle": {"opacity": 0},
+    }
     chart = ui.echart(
         {
-            "grid": {"left": 52, "right": 12, "top": 28, "bottom": 26},
+            "grid": {
+                "left": 52,
+                "right": 12,
+                "top": 28,
+                "bottom": 26,
+            },
             "title": {"text": "g, last minute", "textStyle": {"color": GREY, "fontSize": 12}},
-            "xAxis": {**axis, "type": "value", "min": -CURVE_S, "max": 0},
-            "yAxis": {**axis, "type": "value", "scale": True},
+            "xAxis": {
+                **axis,
+                "type": "value",
+                "min": -CURVE_S,
+                "max": 0,
+            },
+            "yAxis": {
+                **axis,
+                "type": "value",
+                "scale": True,
+            },
             "series": [
                 band,
                 {**band, "areaStyle": {"color": INK, "opacity": 0.25}},
@@ -104,12 +133,35 @@ def _show_curve(chart: ui.echart, news: News) -> None:
     now_s = news.now()
     points = news.points
     chart.set_visibility(bool(points))
-    series: tuple[list[Any], ...] = ([], [], [])
+    series: tuple[list[Any], ...] = (
+        [],
+        [],
+        [],
+    )
     for point in points:
         x = round(point.at_s - now_s, 2)
-        low, high, mass = (1e3 * each for each in (point.low_kg, point.high_kg, point.mass_kg))
-        for data, value in zip(series, (low, high - low, mass), strict=True):
-            data.append([x, round(value, 3)])
+        low, high, mass = (
+            1e3 * each
+            for each in (
+                point.low_kg,
+                point.high_kg,
+                point.mass_kg,
+            )
+        )
+        for data, value in zip(
+            series,
+            (low, high - low, mass),
+            strict=True,
+        ):
+            data.append(
+                [
+                    x,
+                    round(
+                        value,
+                        3,
+                    ),
+                ]
+            )
     if points:
         told = [{"data": data} for data in series]
         chart.run_chart_method("setOption", {"series": told})

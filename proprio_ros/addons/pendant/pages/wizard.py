@@ -27,11 +27,21 @@ def show(pendant: Pendant) -> None:
         choices = ui.element("nav").classes("tasks").props('aria-label="What to do"')
         with ui.element("div").classes("steps"):
             asked = ui.element("section").classes("card").props('aria-label="Task"')
-            _Progress(pendant, {task.service: task.title for task in found})
-    forms = _Forms(pendant, asked, ui.context.client)
+            _Progress(
+                pendant,
+                {task.service: task.title for task in found},
+            )
+    forms = _Forms(
+        pendant,
+        asked,
+        ui.context.client,
+    )
     with choices:
         for task in found:
-            button = ui.button(task.title, on_click=partial(forms.show, task))
+            button = ui.button(
+                task.title,
+                on_click=partial(forms.show, task),
+            )
             button.props("flat no-caps")
     forms.show(found[0])
 
@@ -63,12 +73,17 @@ class _Forms:
                 self._texts[fact.key] = field
             if task.service == CALIBRATE:
                 where = "from scales; put it in when the arm asks for it; empty: none"
-                self._reference = ui.number("Weighed reference [g]", min=0.0, max=5000.0).props(
-                    f'hint="{where}" outlined'
-                )
+                self._reference = ui.number(
+                    "Weighed reference [g]",
+                    min=0.0,
+                    max=5000.0,
+                ).props(f'hint="{where}" outlined')
             if task.until:
                 self._until = ui.switch("Go on until it is known well enough")
-            start = ui.button("Start", on_click=partial(self._ask, task)).props("no-caps size=lg")
+            start = ui.button(
+                "Start",
+                on_click=partial(self._ask, task),
+            ).props("no-caps size=lg")
             start.set_enabled(not self._pendant.read_only)
 
     async def _ask(self, task: Task) -> None:
@@ -82,7 +97,11 @@ class _Forms:
                 raise ConfigurationError(why)
             moves = await self._moves(task)
         except ConfigurationError as error:
-            ui.notify(str(error), type="negative", timeout=8000)
+            ui.notify(
+                str(error),
+                type="negative",
+                timeout=8000,
+            )
             return
         with ui.dialog() as dialog, ui.card().classes("confirm"):
             ui.label("The arm will move" if task.parameters else task.title).classes("title")
@@ -90,8 +109,14 @@ class _Forms:
             ui.label(moves)
             ui.label("Keep away from it. STOP, or the space bar, ends it; the arm is then held.")
             with ui.row():
-                ui.button("Begin", on_click=lambda: dialog.submit(True)).props("no-caps size=lg")
-                ui.button("Not yet", on_click=lambda: dialog.submit(False)).props("flat no-caps")
+                ui.button(
+                    "Begin",
+                    on_click=lambda: dialog.submit(True),
+                ).props("no-caps size=lg")
+                ui.button(
+                    "Not yet",
+                    on_click=lambda: dialog.submit(False),
+                ).props("flat no-caps")
         if await dialog:
             await self._begin(task, settings)
         dialog.delete()
@@ -124,14 +149,32 @@ class _Forms:
         before: dict[str, object] = {}
         if self._until is not None and self._until.value:
             before = await self._pendant.parameters(*task.parameters) or {}
-            stated |= dict.fromkeys(task.parameters, task.until)
+            stated |= dict.fromkeys(
+                task.parameters,
+                task.until,
+            )
         try:
-            why = await self._pendant.state(page, stated) if stated else ""
+            why = (
+                await self._pendant.state(
+                    page,
+                    stated,
+                )
+                if stated
+                else ""
+            )
             if why:
                 raise ConfigurationError(why)
-            call = self._pendant.begin(page, task.service, settings)
+            call = self._pendant.begin(
+                page,
+                task.service,
+                settings,
+            )
         except ConfigurationError as error:
-            ui.notify(str(error), type="negative", timeout=8000)
+            ui.notify(
+                str(error),
+                type="negative",
+                timeout=8000,
+            )
             return
         if before:
             call.then = lambda: self._pendant.put_back(before)
@@ -147,13 +190,24 @@ class _Progress:
         with ui.element("section").classes("card progress").props('aria-label="Progress"') as card:
             self._card = card
             self._title = ui.label().classes("title")
-            self._bar = ui.linear_progress(0.0, show_value=False).props('aria-label="Runs"')
+            self._bar = ui.linear_progress(
+                0.0,
+                show_value=False,
+            ).props('aria-label="Runs"')
             self._said = ui.html().props("role=status")
             self._answer = ui.html().classes("hand").props('role="status"')
             with ui.row().classes("after"):
-                self._report = ui.link("Report", "/report", new_tab=True)
+                self._report = ui.link(
+                    "Report",
+                    "/report",
+                    new_tab=True,
+                )
                 self._command = ui.label().classes("command")
-        ui.timer(READS_S, self._read, immediate=True)
+        ui.timer(
+            READS_S,
+            self._read,
+            immediate=True,
+        )
 
     def _read(self) -> None:
         call = self._pendant.calls.latest
@@ -165,7 +219,10 @@ class _Progress:
         doing = f"run {number} of {of}" if runs else "preparing"
         if call.cancelled:
             doing = "stopping; the arm is held"
-        title = self._titles.get(call.service, call.service)
+        title = self._titles.get(
+            call.service,
+            call.service,
+        )
         self._title.set_text(
             f"{title}: {doing}, {call.elapsed_s:.0f} s" if call.under_way else title
         )
