@@ -108,11 +108,20 @@ def to_call(
         ConfigurationError: There is no such service, or it takes something else.
     """
     known = services()
-    service = name.rpartition("/")[2]
+    *before, service = name.strip("/").split("/")
     node = known.get(service, "")
-    path = full_name(namespace, node, service)
-    if not node or not path.endswith(f"/{name.lstrip('/')}"):
+    if before[-1:] == [node]:
+        before = before[:-1]
+        stated = "/".join(before)
+        if namespace and stated not in ("", namespace):
+            raise ConfigurationError(
+                f"{name}: is in namespace {stated}, and --namespace says {namespace}: leave one out"
+            )
+        namespace = namespace or stated
+        before = []
+    if not node or before:
         near = difflib.get_close_matches(service, known, 3)
+        near = [full_name(namespace, known[each], each) for each in near] if before else near
         hint = f"is {' or '.join(near)} meant? " if near else ""
         raise ConfigurationError(
             f"{name}: no service of these nodes; {hint}`proprio call --list` has those that answer"

@@ -8,7 +8,9 @@ from __future__ import annotations
 
 import importlib.util
 import os
+import queue
 import signal
+import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -20,6 +22,10 @@ from proprio_ros.nodes.programs import missing
 from proprio_ros.nodes.starting import ends_all, services_for, starts
 
 LOOK_S = 0.1
+UNREAD_S = 2.0
+"""Somebody who has read nothing for so long when the nodes have ended reads no more."""
+DIED = 2
+"""The exit code where a node died, as `proprio` has it, if nobody reads why."""
 ENDS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 """Ctrl-C, what systemd and docker say, and a terminal that is closed."""
 
@@ -49,30 +55,84 @@ def live(
             continue  # as nohup has it: the arm is not to drop when a terminal is closed
         # obeyed below; a second one changes nothing: the nodes end in order
         signal.signal(number, lambda number, _: asked.append(number))
+    voice = Voice()
+    tell = voice.of(tell)
     with Graph(_log_folder()) as graph:
-        shown = _Shown(graph.logs, show)
+        shown = _Shown(graph.logs, voice.of(show))
         for start in found:
             graph.start(start.node, start.parameters, stated.namespace, start.files)
         tell(f"{', '.join(graph.processes)} are starting, Ctrl-C ends them; logs: {graph.logs}")
         tell(f"when the identifier is ready: {_calls(stated)}")
-        died = _watch(graph, shown, asked, tell)
+        died = _watch(graph, shown, asked, voice, tell)
         tell(f"{', '.join(graph.processes)} are ending")
         graph.stop()
         shown.more()
+    if not died:
+        tell("all nodes have ended")
+    if not voice.has_finished(UNREAD_S):
+        # whoever writes now, as the interpreter does when it ends, waits for a reader that there is not
+        os._exit(DIED if died else 0)
     if died:
         raise ConfigurationError(died)
-    tell("all nodes have ended")
+
+
+class Voice:
+    """Says lines in a thread of its own: nodes are to end when they are asked to, whether or not anybody reads what is said."""
+
+    def __init__(self) -> None:
+        self._waiting: queue.SimpleQueue[tuple[Callable[[str], None], str] | None] = (
+            queue.SimpleQueue()
+        )
+        self._error: Exception | None = None
+        self._thread = threading.Thread(target=self._speak, daemon=True)
+        self._thread.start()
+
+    def of(self, say: Callable[[str], None]) -> Callable[[str], None]:
+        """What hands each line on to be said, and returns at once."""
+        return lambda line: self._waiting.put((say, line))
+
+    def check(self) -> None:
+        """Raises whatever was raised where something was said, as of a pipe that was closed."""
+        if self._error is not None:
+            raise self._error
+
+    def has_finished(self, within_s: float) -> bool:
+        """Whether all has been said, after that time at most; nothing more is said then."""
+        self._waiting.put(None)
+        self._thread.join(within_s)
+        return not self._thread.is_alive()
+
+    def _speak(self) -> None:
+        while self._error is None:
+            waiting = self._waiting.get()
+            if waiting is None:
+                return
+            say, line = waiting
+            try:
+                say(line)
+            except Exception as error:
+                self._error = error
 
 
 def _watch(
     graph: Graph,
     shown: _Shown,
     asked: list[int],
+    voice: Voice,
     tell: Callable[[str], None],
 ) -> str:
-    """Show what the nodes say until they are to end; why, where it was not asked for."""
+    """Show what the nodes say until they are to end; why, where it was not asked for.
+
+    Args:
+        graph: The nodes.
+        shown: What they have said.
+        asked: Signals that came.
+        voice: That says it.
+        tell: Called with what goes on here, a sentence at a time.
+    """
     while not asked:
         shown.more()
+        voice.check()
         for node, words in list(graph.ended()):
             if ends_all(node):
                 return words

@@ -15,6 +15,7 @@ import numpy as np
 
 from proprio_ros.errors import ConfigurationError, RobotError
 from proprio_ros.inputs.forms import Number
+from proprio_ros.inputs.resources import paths_of
 from proprio_ros.inputs.settings import Settings, read
 from proprio_ros.inputs.signs import EFFORT_SIGN, Signs
 from proprio_ros.probes import all_probes, probe_named
@@ -26,6 +27,7 @@ from proprio_ros.recordings.effort import Effort
 from proprio_ros.recordings.for_robot import RobotReading
 from proprio_ros.recordings.read_options import ReadOptions
 from proprio_ros.recordings.sources import effort_unit_in
+from proprio_ros.recordings.tables import is_table
 from proprio_ros.recordings.text import is_text_recording
 from proprio_ros.recordings.topics import OUR_DRIVER, Conventions
 from proprio_ros.recordings.voltage import voltage_driven
@@ -68,12 +70,15 @@ class Options:
     def for_recordings(self, paths: Sequence[str | Path]) -> Options:
         """The same with what recordings say by themselves, where nobody states it.
 
-        Where all are texts that is the robot of the paper's public example; where all are tables, the unit of their effort.
+        Where all are texts that is the robot of the paper's public example; where all are tables that say the same, the unit of
+        their effort; else each is read by its own headers.
         """
         if self.robot is None and all(map(is_text_recording, paths)):
             return replace(self, robot=TEXT_ROBOT)
         if self.driver is None and self.effort_unit is None:
-            return replace(self, effort_unit=effort_unit_in([Path(path) for path in paths]))
+            beside = filter(is_table, paths_of(self.baseline))
+            recordings = [Path(path) for path in (*paths, *beside)]
+            return replace(self, effort_unit=effort_unit_in(recordings))
         return self
 
 

@@ -311,3 +311,35 @@ def assert_gone(arm: Arm, live: Live) -> None:
     assert not live.alive(), "it waits for its nodes before it goes"
     assert wait_for(arm.at_rest)
     assert "Traceback" not in live.told
+
+
+def test_it_ends_while_nobody_reads_what_it_says(arm: Arm) -> None:
+    """A pipe that was full kept it, and its nodes, for ever."""
+    said, unread = os.pipe()
+    os.set_blocking(unread, False)
+    with pytest.raises(BlockingIOError):
+        while True:
+            os.write(unread, b"\n" * 4096)
+    os.set_blocking(unread, True)
+    mark = uuid.uuid4().hex
+    words = ["live", "--port", str(arm.folder / "bus"), "--data-directory", str(arm.data)]
+    process = subprocess.Popen(
+        [*PROPRIO, *words],
+        stdin=subprocess.DEVNULL,
+        stdout=unread,
+        stderr=unread,
+        env={**os.environ, MARK: mark, "ROS_LOG_DIR": str(arm.folder / "log")},
+    )
+    try:
+        assert wait_for(
+            lambda: any("nodes.driver " in words for words in alive(mark).values()), UP_S
+        )
+        arm.client.states.clear()  # of those before
+        assert wait_for(lambda: len(arm.client.states) > 10, UP_S)
+        process.send_signal(signal.SIGTERM)
+        assert process.wait(END_S) == EXIT_OK
+        assert not alive(mark)
+    finally:
+        process.kill()
+        os.close(said)
+        os.close(unread)

@@ -32,6 +32,7 @@ from proprio_ros.addons.fleet.rows import rows_of
 from proprio_ros.cli import main
 from proprio_ros.errors import ConfigurationError, ProprioError, RecordingError
 from proprio_ros.pipeline.check import check_bags
+from proprio_ros.pipeline.replay import replay
 from proprio_ros.pipeline.request import Options, read_request
 from proprio_ros.recordings import tables
 from proprio_ros.recordings.drivers import columns_files
@@ -718,3 +719,28 @@ def test_a_name_says_that_it_is_a_table(tmp_path: Path) -> None:
     assert not isinstance(open_source(tmp_path / "bag.csv"), TableSource)
     with pytest.raises(ProprioError, match=r"\.csv, \.parquet"):
         read(ROOT / "README.md")
+
+
+def test_tables_whose_headers_say_different_units_are_weighed_together(tmp_path: Path) -> None:
+    """Each is read by its own headers: the loaded one in Nm, the empty one in A."""
+    nominal = load_robot("open_manipulator_x").drive_trains["joint3"].nominal_torque_constant
+    for name, bag in (("loaded", PUSH), ("empty", EMPTY[0])):
+        recorded = recorded_in(bag)
+        efforts = {"Nm": recorded.effort, "A": recorded.effort / nominal}
+        for unit, effort in efforts.items():
+            headers = ["t [s]", *(f"q_{j} [rad]" for j in JOINTS), *(f"effort_{j} [{unit}]" for j in JOINTS)]  # fmt: skip
+            since_s = 1e-9 * (recorded.times_ns - recorded.times_ns[0])
+            rows = np.column_stack([since_s, recorded.position, effort])
+            lines = [",".join(headers), *(",".join(map(repr, row)) for row in rows.tolist())]
+            (tmp_path / f"{name}_{unit}.csv").write_text("\n".join(lines) + "\n")
+    learnt = tmp_path / "arm.yaml"
+    assert main(["calibrate", *map(str, EMPTY), "--output", str(learnt)]) == 0
+    masses = []
+    for unit in ("Nm", "A"):
+        asked = Options(
+            calibration=str(learnt),
+            settings={"payload.com": [0.0, 0.0, 0.0]},
+            baseline=[tmp_path / f"empty_{unit}.csv"],
+        )
+        masses.append(replay([tmp_path / "loaded_Nm.csv"], asked).values[0].value)
+    assert masses[0] == pytest.approx(masses[1], rel=1e-4)
