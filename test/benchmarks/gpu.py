@@ -9,8 +9,6 @@ core, each with its share of the fits. ``--device cpu`` goes through it all with
 
 from __future__ import annotations
 
-import argparse
-import json
 import os
 import platform
 import statistics
@@ -29,6 +27,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 import numpy as np
 import warp as wp
+from results import Results, parser_of
 
 from proprio_ros.errors import ConfigurationError
 from proprio_ros.sim import runtime
@@ -298,17 +297,70 @@ def rows(_: Case) -> list[Row]:
     return [*found, cases.Row(what, timing, ratio, there["goal_met"], note)]
 
 
+def keep(found: dict[str, Any], file: Path | None, arguments: Sequence[str] | None) -> None:
+    """Print a table of what was measured, and keep it for the page of speed.
+
+    Args:
+        found: What `measured` returns.
+        file: A JSON file; None: nowhere.
+        arguments: Of the command line.
+    """
+    results = Results(__file__, file, arguments)
+    columns = {
+        "where": "{where}",
+        "fits": "{fits}",
+        "all fits": "{fits_s:.2f} s",
+        "each": "{each_us:.0f} us",
+        "set-up, once": "{set_up_s:.2f} s",
+    }
+    apart_by = found["apart"]["best_start_unknowns"]
+    on_device = found["on_device"]
+    one_core = found["one_core"]
+    results.table("fits", columns)
+    for where, fits, times in (
+        (found["device"], found["fits"], on_device),
+        (f"{found['cores']} cores", found["all_cores"]["fits"], found["all_cores"]),
+        ("one core", one_core["fits"], one_core),
+    ):
+        fits_s = times["fits_s"]
+        results.row(
+            "fits",
+            where=where,
+            fits=fits,
+            fits_s=fits_s,
+            each_us=1e6 * fits_s / fits,
+            set_up_s=times.get("set_up_s"),
+        )
+    results.table(
+        "apart",
+        {
+            "fits on both": "{fits}",
+            "slopes at the start differ by at most": "{slopes:.0e}",
+            "unknowns of the best start, median": "{median:.0e}",
+            "by more than 1e-9": "{over} fits",
+            "not compared: stopped at the limit of iterations": "{left_out} fits",
+        },
+    )
+    results.row(
+        "apart",
+        fits=found["all_cores"]["fits"],
+        median=apart_by["median"],
+        over=apart_by["over_1e-9"],
+        largest=apart_by["largest"],
+        left_out=found["apart"]["fits_left_out"],
+        slopes=found["first_pass"]["gradient"],
+    )
+    results.keep()
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Prepare, or measure and print."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = parser_of(__doc__)
     parser.add_argument("file", type=Path, help="of the pushes")
     parser.add_argument("--prepare", action="store_true", help="write it from bags/")
     parser.add_argument("--fits", type=int, default=FITS)
     parser.add_argument("--compared", type=int, help="fits that the processor does, too (all)")
     parser.add_argument("--device", default="cuda")
-    parser.add_argument("--json", type=Path, metavar="FILE", help="keep what is found in this file")
     options = parser.parse_args(arguments)
     if options.prepare:
         print(f"{prepare(options.file)} fits of pushes kept in {options.file}")
@@ -317,13 +369,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         device = runtime.device_named(options.device)
     except ConfigurationError as error:
         raise SystemExit(str(error)) from error
-    found = measured(
-        options.file, options.fits, device, min(options.compared or options.fits, options.fits)
-    )
-    text = json.dumps(found, indent=1)
-    print(text)
-    if options.json is not None:
-        options.json.write_text(text + "\n", encoding="utf-8")
+    compared = min(options.compared or options.fits, options.fits)
+    keep(measured(options.file, options.fits, device, compared), options.json, arguments)
     return 0
 
 
