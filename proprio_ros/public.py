@@ -92,6 +92,7 @@ MODULES: dict[str, tuple[str, ...]] = {
         "drivers",
         "motions",
         "runs",
+        "tables",
         "text",
     ),
     "report": (

@@ -117,6 +117,12 @@ def header_of(text: str) -> Header:
     return _with_unit(Header(text, kind, "_".join(rest), number=_number_of(rest)), unit)
 
 
+def is_numbered_joint(header: Header) -> bool:
+    """Whether a header is the number of a joint, as ``joint3``, and nothing else: its position."""
+    numbered = re.match(r"(joint|axis)", header.joint)
+    return header.kind is None and header.number is not None and numbered is not None
+
+
 def as_kind(header: Header, kind: Kind) -> Header:
     """The same of a header that is stated to be of a kind, with its unit as one of that kind."""
     bare, unit = _split_unit(header.text)

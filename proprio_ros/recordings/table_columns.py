@@ -21,6 +21,7 @@ from proprio_ros.recordings.headers import (
     Kind,
     as_kind,
     header_of,
+    is_numbered_joint,
     plain,
     without_unit,
 )
@@ -228,10 +229,7 @@ def _called(given: _Stated, kind: Kind) -> list[tuple[int, Header]]:
 
 def _only_a_joint(given: _Stated, header: Header) -> bool:
     """Whether a header is the name of a joint, or its number as in ``joint3``, and nothing else."""
-    if header.kind is not None:
-        return False
-    numbered = header.number is not None and re.match(r"(joint|axis)", header.joint) is not None
-    return numbered or header.joint in given.known
+    return is_numbered_joint(header) or (header.kind is None and header.joint in given.known)
 
 
 def _fitting(given: _Stated, kind: Kind, pattern: str) -> list[tuple[int, Header]]:

@@ -32,7 +32,7 @@ from proprio_ros.recordings.echoes import (
     only_numbers,
     read_echoes,
 )
-from proprio_ros.recordings.headers import Kind, header_of
+from proprio_ros.recordings.headers import DRIVING, Kind, header_of, is_numbered_joint
 from proprio_ros.records import FloatArray
 
 TEXTS = (".csv", ".tsv", ".txt")
@@ -87,7 +87,12 @@ def is_recorded_table(path: Path) -> bool:
         headers = open_table(path).headers if is_table(path) else ()
     except ProprioError:
         return False
-    return {Kind.TIME, Kind.POSITION} <= {header_of(header).kind for header in headers}
+    found = [header_of(header) for header in headers]
+    kinds = {each.kind for each in found}
+    driven = {each.joint for each in found if each.kind in DRIVING}
+    alone = [each for each in found if each.kind is None]
+    has_joints = any(is_numbered_joint(each) or each.joint in driven for each in alone)
+    return Kind.TIME in kinds and (Kind.POSITION in kinds or has_joints)
 
 
 def open_table(path: Path) -> Table:
@@ -408,32 +413,51 @@ def _date_ns(cell: str) -> int:
 
 
 class _ParquetTable(Table):
-    """A Parquet file; a column of vectors is as many columns, ``q[0]`` and so on."""
+    """A Parquet file, of which columns are read when they are asked for; one of vectors is as many, ``q[0]`` and so on."""
 
-    def __init__(self, path: Path, table: Any) -> None:
-        self._columns: dict[str, Any] = {}
-        for name, column in zip(table.column_names, table.columns, strict=True):
-            for part, values in _parts(str(name), column.combine_chunks()):
-                if part in self._columns:
-                    raise RecordingError(f"two columns are called {shortly(part)}", path)
-                self._columns[part] = values
-        super().__init__(path, list(self._columns))
+    def __init__(self, path: Path, file: Any) -> None:
+        self._file = file
+        self._places: dict[
+            str, tuple[str, int | None]
+        ] = {}  # name in the file, and place in its vectors
+        for part, place in _parts(file):
+            if part in self._places:
+                raise RecordingError(f"two columns are called {shortly(part)}", path)
+            self._places[part] = place
+        super().__init__(path, list(self._places))
 
     def read(self, time: int, others: Sequence[int]) -> Cells:
+        wanted = [self.headers[place] for place in (time, *others)]
         with _readable(self.path, "a Parquet table"):
-            ticks, dated = self._ticks(self.headers[time])
-            numbers = {place: self._numbers(self.headers[place]) for place in others}
+            names = list(dict.fromkeys(self._places[header][0] for header in wanted))
+            table = self._file.read(columns=names, use_threads=False)
+            columns = {header: self._column(table, header) for header in wanted}
+            ticks, dated = self._ticks(wanted[0], columns[wanted[0]])
+            numbers = {
+                place: self._numbers(self.headers[place], columns[self.headers[place]])
+                for place in others
+            }
         return Cells(ticks, dated, numbers)
 
-    def _numbers(self, header: str) -> FloatArray:
-        column = self._columns[header]
+    def _column(self, table: Any, header: str) -> Any:
+        name, index = self._places[header]
+        column = table.column(name).combine_chunks()
+        if index is None:
+            return column
+        lengths = arrow().compute.unique(arrow().compute.list_value_length(column)).to_pylist()
+        if len(lengths) > 1 or None in lengths:
+            raise RecordingError(
+                f"{name} has vectors of several lengths: which are the joints?", self.path
+            )
+        return arrow().compute.list_element(column, index)
+
+    def _numbers(self, header: str, column: Any) -> FloatArray:
         types = arrow().types
         if not (types.is_floating(column.type) or types.is_integer(column.type)):
             raise RecordingError(f"{header} is of type {column.type}, and no number", self.path)
         return np.asarray(column.to_numpy(zero_copy_only=False), dtype=np.float64)
 
-    def _ticks(self, header: str) -> tuple[list[int | None], bool]:
-        column = self._columns[header]
+    def _ticks(self, header: str, column: Any) -> tuple[list[int | None], bool]:
         types = arrow().types
         if types.is_timestamp(column.type):
             in_ns = column.cast(arrow().timestamp("ns", column.type.tz)).cast(arrow().int64())
@@ -441,19 +465,25 @@ class _ParquetTable(Table):
         if types.is_integer(column.type):
             values = column.to_pylist()
             return [None if value is None else value * PER_UNIT for value in values], False
-        return [_tick(Decimal(repr(float(value)))) for value in self._numbers(header)], False
+        found = self._numbers(header, column)
+        return [_tick(Decimal(repr(float(value)))) for value in found], False
 
 
-def _parts(name: str, column: Any) -> Iterator[tuple[str, Any]]:
-    """A column of numbers as it is; one of vectors that are all alike by their entries."""
+def _parts(file: Any) -> Iterator[tuple[str, tuple[str, int | None]]]:
+    """Headers by the file's schema, with the column's name and the place in its vectors; how long these are its first row says."""
     types = arrow().types
-    if not (types.is_list(column.type) or types.is_fixed_size_list(column.type)):
-        yield name, column
-        return
-    lengths = set(arrow().compute.list_value_length(column).to_pylist())
-    if len(lengths) == 1 and None not in lengths:
-        for index in range(lengths.pop()):
-            yield f"{name}[{index}]", arrow().compute.list_element(column, index)
+    for field in file.schema_arrow:
+        if types.is_fixed_size_list(field.type):
+            length = field.type.list_size
+        elif types.is_list(field.type):
+            batch = next(file.iter_batches(batch_size=1, columns=[field.name]))
+            first = batch.column(0)[0].as_py()
+            length = 0 if first is None else len(first)
+        else:
+            yield field.name, (field.name, None)
+            continue
+        for index in range(length):
+            yield f"{field.name}[{index}]", (field.name, index)
 
 
 def _parquet(path: Path) -> Table:
@@ -464,4 +494,4 @@ def _parquet(path: Path) -> Table:
             raise RecordingError(f"has more than {MOST_ROWS} rows: cut it", path)
         if not file.metadata.num_rows:
             raise RecordingError("has no row: record it again", path)
-        return _ParquetTable(path, file.read(use_threads=False))
+        return _ParquetTable(path, file)

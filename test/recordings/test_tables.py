@@ -40,7 +40,7 @@ from proprio_ros.recordings.effort import Effort
 from proprio_ros.recordings.headers import Kind, header_of
 from proprio_ros.recordings.read_options import ReadOptions
 from proprio_ros.recordings.sources import TableSource, open_recording, open_source
-from proprio_ros.recordings.tables import open_table
+from proprio_ros.recordings.tables import is_recorded_table, open_table
 from proprio_ros.records import JointRecord, Recording
 from proprio_ros.robot import load_robot
 
@@ -676,6 +676,34 @@ def test_parquet_says_what_is_missing_or_wrong(
     assert open_table(bare(tmp_path / "log.csv", elbow())).headers[0] == "t [s]"
 
 
+def test_a_parquet_file_is_listed_by_its_schema_alone(tmp_path: Path) -> None:
+    """And of its columns those are read that are wanted: one of another kind, and vectors of several lengths, do no harm."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    recorded = elbow()
+    count = len(recorded.times_ns)
+    columns: dict[str, Any] = {"timestamp": 1e-9 * (recorded.times_ns - recorded.times_ns[0])}
+    columns["position"] = list(recorded.position)
+    columns["image"] = [b"x" * 10_000] * count
+    columns["ragged"] = [[1.0] * (1 + row % 3) for row in range(count)]
+    path = tmp_path / "log.parquet"
+    plain: dict[str, Any] = {"compression": "none", "use_dictionary": False}
+    pq.write_table(pa.table(columns), path, row_group_size=16, **plain)
+    whole = path.read_bytes()
+    table = open_table(path)
+    assert table.headers[:2] == ("timestamp", "position[0]") and "image" in table.headers
+    same_numbers = table.read(0, [1]).numbers[1]
+    np.testing.assert_array_equal(same_numbers, recorded.position[:, 0])
+    ragged = table.headers.index("ragged[0]")
+    with pytest.raises(RecordingError, match="ragged has vectors of several lengths"):
+        table.read(0, [ragged])
+    # what lies between the first row and the footer is not looked at
+    image = whole.index(b"x" * 1000)
+    path.write_bytes(whole[:image] + b"\xff" * 500 + whole[image + 500 :])
+    assert open_table(path).headers == table.headers
+
+
 def test_check_says_what_each_column_is(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     table = merged(tmp_path / "push.csv", recorded_in(PUSH))
     assert main(["check", str(table)]) == 0
@@ -719,6 +747,39 @@ def test_a_name_says_that_it_is_a_table(tmp_path: Path) -> None:
     assert not isinstance(open_source(tmp_path / "bag.csv"), TableSource)
     with pytest.raises(ProprioError, match=r"\.csv, \.parquet"):
         read(ROOT / "README.md")
+
+
+def test_a_recording_and_its_export_are_not_two(tmp_path: Path) -> None:
+    """The bag is answered; of the table beside it is said what it was taken for. Another name is another recording."""
+    recorded = elbow()
+    record = JointRecord(recorded.times_ns, recorded.joints, recorded.position)
+    write_recording(tmp_path / "run1", Recording("run1", record, None))
+    for name in ("run1.csv", "run1.5.csv", "log.csv"):
+        bare(tmp_path / name, elbow())
+    parquet(tmp_path / "log.parquet", elbow())
+    found = {episode.name: episode.problem for episode in episodes_of([tmp_path])}
+    said = {name: problem.partition(" beside")[0] for name, problem in found.items() if problem}
+    assert said == {"run1.csv": "is called as run1", "log.parquet": "is called as log.csv"}
+    assert set(found) == {"run1", "run1.csv", "run1.5.csv", "log.csv", "log.parquet"}
+    (alone,) = episodes_of([tmp_path / "run1.csv"])
+    assert not alone.problem, "who names it, means it"
+
+
+@pytest.mark.parametrize(
+    ("header", "listed"),
+    [
+        ("t [s],joint1 [rad],joint2 [rad]", True),
+        ("t [s],axis1,axis2,note", True),
+        ("t [s],shoulder,elbow,shoulder_effort,elbow_effort", True),
+        ("t [s],price,volume", False),
+        ("joint1,joint2", False),
+    ],
+)
+def test_tables_of_bare_joints_are_listed(tmp_path: Path, header: str, listed: bool) -> None:
+    path = tmp_path / "log.csv"
+    cells = ",".join("0.5" for _ in header.split(","))
+    path.write_text(f"{header}\n{cells}\n{cells}\n")
+    assert is_recorded_table(path) is listed
 
 
 def test_tables_whose_headers_say_different_units_are_weighed_together(tmp_path: Path) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import glob
 import os
+import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,8 +13,12 @@ from proprio_ros.errors import ConfigurationError, RecordingError, one_line
 from proprio_ros.inputs.reading import path_problem
 from proprio_ros.recordings.contents import is_recorded_file
 from proprio_ros.recordings.datasets import is_data_set, open_data_set
+from proprio_ros.recordings.tables import is_table
 from proprio_ros.recordings.text import is_text_recording
 from proprio_ros.whole_files import real_path
+
+EXPORTED = "is called as {origin} beside it, and taken for the same recording in another form: name the file to have it answered"
+"""Why a table has no answer of its own."""
 
 
 @dataclass(frozen=True)
@@ -74,9 +79,11 @@ def _below(place: Path) -> Iterator[Episode]:
         yield from _of_data_set(place)
         return
     for folder, inner, files in os.walk(place):
+        bags: list[str] = []
         for name in sorted(inner):
             path = Path(folder, name)
             if _is_bag(path):
+                bags.append(name)
                 yield Episode(
                     str(place),
                     path.relative_to(place).as_posix(),
@@ -88,14 +95,37 @@ def _below(place: Path) -> Iterator[Episode]:
                 continue
             inner.remove(name)
         inner.sort()
-        for name in sorted(files):
+        recorded = [name for name in sorted(files) if is_recorded_file(Path(folder, name))]
+        origins = _origins(bags, recorded)
+        for name in recorded:
             path = Path(folder, name)
-            if is_recorded_file(path):
-                yield Episode(
-                    str(place),
-                    path.relative_to(place).as_posix(),
-                    str(path),
-                )
+            origin = origins.get(name, "")
+            yield Episode(
+                str(place),
+                path.relative_to(place).as_posix(),
+                str(path),
+                origin and EXPORTED.format(origin=origin),
+            )
+
+
+def _origins(bags: Sequence[str], files: Sequence[str]) -> dict[str, str]:
+    """Of tables beside another recording of the same name, what that is called: they are its exports, and the same once more.
+
+    Args:
+        bags: Names of bags that are folders.
+        files: Names of recordings that are files, in one folder.
+    """
+    first = {name: name for name in bags}
+    tables = [name for name in files if is_table(name)]
+    for name in [name for name in files if name not in tables] + tables:
+        first.setdefault(_stem(name), name)
+    own = {name: first[_stem(name)] for name in tables}
+    return {name: origin for name, origin in own.items() if origin != name}
+
+
+def _stem(name: str) -> str:
+    """Of a file's name, without what says of which kind it is."""
+    return re.sub(r"(\.(mcap|db3|bag|zstd|csv|tsv|txt|parquet))+$", "", name, flags=re.I)
 
 
 def _of_data_set(folder: Path) -> Iterator[Episode]:
