@@ -21,7 +21,7 @@ from std_srvs.srv import Trigger
 from proprio_ros.errors import ConfigurationError
 from proprio_ros.nodes.arguments import Stated
 from proprio_ros.nodes.calling import SILENCE_S, Caller
-from proprio_ros.nodes.domains import free_domain
+from proprio_ros.nodes.domains import heard_in, unused_domain
 from proprio_ros.nodes.graph import Graph
 from proprio_ros.nodes.starting import starts
 from proprio_ros.probes.base import Example, HasBaseline, Probe
@@ -76,10 +76,8 @@ def demo(
     folder = folder.resolve()
     folder.mkdir(parents=True, exist_ok=True)
     # a domain of its own: another arm's driver on this network must not hear our commands, nor we its states
-    if "ROS_DOMAIN_ID" not in os.environ:
-        os.environ["ROS_DOMAIN_ID"] = free_domain()
-    domain = os.environ["ROS_DOMAIN_ID"]
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    domain = _domain()
     _interrupted.clear()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, _interrupt)
@@ -109,6 +107,18 @@ def demo(
     return DemoResult(
         accepted, sentence, value, final.get(f"{name}.ci95", ""), truth, report, elapsed
     )
+
+
+def _domain() -> str:
+    """The ROS domain. Raises: ConfigurationError: others are in the one that the user states."""
+    domain = os.environ.get("ROS_DOMAIN_ID", "")
+    if not domain:
+        domain = os.environ["ROS_DOMAIN_ID"] = unused_domain()
+    elif heard := heard_in(domain):
+        raise ConfigurationError(
+            f"ROS_DOMAIN_ID={domain}: others are found there ({', '.join(heard[:4])}): leave it out, or state another one"
+        )
+    return domain
 
 
 def _start(

@@ -17,6 +17,7 @@ from pathlib import Path
 
 from proprio_ros.errors import ConfigurationError
 from proprio_ros.nodes.arguments import Stated
+from proprio_ros.nodes.domains import free_domain, heard_in
 from proprio_ros.nodes.graph import Graph
 from proprio_ros.nodes.programs import missing
 from proprio_ros.nodes.starting import ends_all, services_for, starts
@@ -49,6 +50,8 @@ def live(
     for module in ["rclpy", *(["mujoco"] if stated.virtual else [])]:
         if importlib.util.find_spec(module) is None:
             raise missing(module)
+    if stated.virtual:
+        _refuse_a_mixture([start.node for start in found], stated.namespace)
     asked: list[int] = []
     for number in ENDS:
         if signal.getsignal(number) == signal.SIG_IGN:
@@ -112,6 +115,20 @@ class Voice:
                 say(line)
             except Exception as error:
                 self._error = error
+
+
+def _refuse_a_mixture(nodes: list[str], namespace: str) -> None:
+    """A virtual arm beside nodes of the same names: calls would reach either arm.
+
+    Raises:
+        ConfigurationError: They are heard in this domain.
+    """
+    domain = os.environ.get("ROS_DOMAIN_ID") or "0"
+    space = f"/{namespace}" if namespace else ""
+    ours = {f"{space}/{node}" for node in nodes}
+    if there := sorted(ours.intersection(heard_in(domain))):
+        advice = f"end them, or state ROS_DOMAIN_ID={free_domain()} or --namespace"
+        raise ConfigurationError(f"{', '.join(there)} run in ROS domain {domain} already: {advice}")
 
 
 def _watch(

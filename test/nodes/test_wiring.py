@@ -22,7 +22,7 @@ from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
 from rclpy.qos import QoSProfile
 from std_srvs.srv import Trigger
-from support.domains import free_domain
+from support.domains import unused_domain
 from support.live import SOON_S, UP_S, Client, running, wait_for
 from support.pushes import AWAY, one_push
 
@@ -131,7 +131,7 @@ def arm(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Arm]:
     folder = tmp_path_factory.mktemp("wiring")
     identifier = {"payload_sequence": str(push_file(folder, 0.6))}
     with pytest.MonkeyPatch.context() as environment:
-        environment.setenv("ROS_DOMAIN_ID", free_domain())
+        environment.setenv("ROS_DOMAIN_ID", unused_domain())
         with running(
             folder,
             virtual={"object": 0.05},

@@ -6,9 +6,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 from proprio_ros.nodes import domains
-from proprio_ros.nodes.domains import free_domain
+from proprio_ros.nodes.domains import free_domain, unused_domain
 
-__all__ = ["free_domain", "given_back"]
+__all__ = ["free_domain", "given_back", "unused_domain"]
 
 
 @contextmanager
