@@ -15,6 +15,7 @@ others are refused meanwhile. A current of zero lets go of a joint only where th
 from __future__ import annotations
 
 import contextlib
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
@@ -43,6 +44,7 @@ LOOKAHEAD_S = 0.05
 # an arm that is too low may be moved, but not lower by more than this: encoders are not exact
 SINK_M = 1e-3
 SAME_S = 0.02  # when a command was sent is known about so well
+WARN_AGAIN_S = 2.0  # the same warning is said no more often
 # one servo's temperature and voltage are read so often, while nothing is driven
 HEALTH_PERIOD_S = 0.2
 
@@ -94,7 +96,8 @@ class ArmDriver:
         self.state = BusState.DISCONNECTED
         self.reason = "not connected yet"
         self.health: dict[str, ServoHealth] = {}
-        self._log = log
+        self._tell = log
+        self._warned_at_s: dict[str, float] = {}
         self._clock = clock
         self._joints = {servo.joint: DrivenJoint.of(robot, servo) for servo in bus.servos}
         self._lock = lock()
@@ -124,6 +127,16 @@ class ArmDriver:
         self._limp = False  # there was to be no current when the bus was lost
         # joints without a motor are taken to stand at zero, or at the limit nearest to it
         self._rest = zero_pose(robot)
+
+    def _log(self, severity: str, sentence: str) -> None:
+        """Say it; a warning that differs by its numbers alone only once in a while."""
+        now = self._clock()
+        words = re.sub(r"[0-9.]+", "", sentence)
+        if severity == "warning":
+            if now - self._warned_at_s.get(words, -np.inf) < WARN_AGAIN_S:
+                return
+            self._warned_at_s[words] = now
+        self._tell(severity, sentence)
 
     @property
     def joints(self) -> tuple[str, ...]:

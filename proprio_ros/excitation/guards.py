@@ -79,7 +79,7 @@ def check_start(sample: JointSample, ways: Ways, guards: Guards) -> None:
         if not low <= sample.position[name] <= high:
             joint = ways.robot.model.joint(name)
             limits = f"{joint.lower:.4g} .. {joint.upper:.4g}"
-            remedy = "check its zero and its unit, or move it back by hand with torque off"
+            remedy = "check its zero and its unit, or move it back by hand with torque off (a virtual one: call its recover)"
             raise ExcitationError(
                 f"cannot start: {name} reads {sample.position[name]:.4g}, outside its limits {limits}; {remedy}"
             )

@@ -120,7 +120,7 @@ class Ways:
         clearance_cm = f"{100 * sequence.min_clearance_m:.0f} cm"
         raise ExcitationError(
             f"no way to {where} keeps the arm {clearance_cm} above the base's plane: move it to a "
-            "higher pose by hand, with torque off, and start again"
+            "higher pose by hand, with torque off (a virtual one: call its recover), and start again"
         )
 
     def _timed(self, poses: tuple[dict[str, float], ...], sequence: ExcitationSequence) -> Way:

@@ -18,6 +18,7 @@ from proprio_ros.errors import ConfigurationError, RobotError
 from proprio_ros.live.session import as_parameters, live_request, settings_for
 from proprio_ros.pipeline.request import Options, Request, robot_of
 from proprio_ros.probes.base import Probe
+from proprio_ros.recordings.reader import open_bag
 from proprio_ros.robot import Robot
 
 # age of a baseline that is worth a warning: nobody remembers what was changed since
@@ -140,15 +141,19 @@ class Workspace:
     def find_baseline(self, probe: Probe[Any], stated: str) -> Path | None:
         """The recording without what is to be identified: a stated bag; empty: the newest, if there is one; ``none``: none.
 
-        Raises `ConfigurationError`: One was named that is not there.
+        Raises `ConfigurationError`: One was named that is not there, or is none.
         """
         if stated == "none":
             return None
         path = Path(stated).expanduser() if stated else self.newest_baseline(probe)
-        if path.exists():
-            return path.resolve()
+        if path.is_dir() or path.is_file():
+            with open_bag(
+                path
+            ):  # whoever names something else hears so now, and not after the arm has moved
+                return path.resolve()
         if stated:
-            remedy = "there is no such recording; name a bag, or leave it empty"
+            is_there = "that is no recording" if path.exists() else "there is no such recording"
+            remedy = f"{is_there}; name a bag, or leave it empty"
             raise ConfigurationError(f"{probe.name}_baseline {path}: {remedy}")
         return None
 

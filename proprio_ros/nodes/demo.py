@@ -114,7 +114,9 @@ def _domain() -> str:
     domain = os.environ.get("ROS_DOMAIN_ID", "")
     if not domain:
         domain = os.environ["ROS_DOMAIN_ID"] = unused_domain()
-    elif heard := heard_in(domain):
+        return domain
+    heard = heard_in(domain)
+    if heard:
         raise ConfigurationError(
             f"ROS_DOMAIN_ID={domain}: others are found there ({', '.join(heard[:4])}): leave it out, or state another one"
         )

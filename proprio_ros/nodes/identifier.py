@@ -46,6 +46,8 @@ from proprio_ros.nodes.results import Results
 from proprio_ros.nodes.services import Answer, LongService
 from proprio_ros.nodes.tables import IDENTIFIER
 from proprio_ros.nodes.weighing import Weighing
+from proprio_ros.probes import all_probes
+from proprio_ros.probes.base import HasBaseline
 from proprio_ros.robot import LiveDescription
 from proprio_ros.robot.live_description import is_topic, topic_of
 
@@ -66,6 +68,11 @@ class IdentifierNode(ManagedNode):
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("identifier", **kwargs)
+        self._baselines = {
+            f"{probe.name}_baseline": probe
+            for probe in all_probes()
+            if isinstance(probe, HasBaseline)
+        }
         self._sequences = {
             each.name: each.default for each in self.parameters if each.name.endswith("_sequence")
         }
@@ -228,6 +235,9 @@ class IdentifierNode(ManagedNode):
                 if parameter.name in ("settings", "reference_settings"):
                     facts = parse_settings([pair for pair in parameter.value if pair])
                     check_settings(replace(self.workspace.options(), settings=facts))
+                elif parameter.name in self._baselines:
+                    probe = self._baselines[parameter.name]
+                    self.workspace.find_baseline(probe, str(parameter.value))
                 elif parameter.name in self._sequences:
                     self._check_sequence(parameter.name, str(parameter.value))
         except ProprioError as error:

@@ -55,7 +55,10 @@ def _of_probes() -> dict[str, str]:
 
 def services() -> dict[str, str]:
     """Node of each service by the service's own name, which no two nodes share."""
-    every = {node: interface_of(node).services for node in ("identifier", "excitation", "driver")}
+    every = {
+        node: interface_of(node).services
+        for node in ("identifier", "excitation", "driver", "virtual")
+    }
     return {name.rpartition("/")[2]: node for node, names in every.items() for name in names}
 
 
@@ -102,6 +105,7 @@ _OTHERS = {
         "A virtual arm: servos on a pseudo-terminal with MuJoCo behind them, or an arm with a controller as in `ros2_control`.",
         ("/virtual/status", "/virtual/motors", "/joint_states"),
         ("/excitation/status", "/identifier/status", *INPUT_TOPICS.values()),
+        ("/virtual/recover",),
     ),
 }  # fmt: skip
 ABOUT = {
@@ -161,6 +165,7 @@ ABOUT = {
     "/identifier/weigh": "what the hand held in the last `weigh_seconds` of whatever motion",
     "/identifier/apply": "export the accepted load to the arm's own controller (`hand_on`)",
     "/identifier/cancel": "end the job; what was recorded is kept",
+    "/virtual/recover": "bring an arm that has fallen back to its first pose, and hold it",
     "/virtual/status": "what the virtual hand holds",
     "/virtual/motors": "what is really going on: true positions [rad, m], and as effort the current in each motor [A]",
 }  # fmt: skip

@@ -126,7 +126,8 @@ def _refuse_a_mixture(nodes: list[str], namespace: str) -> None:
     domain = os.environ.get("ROS_DOMAIN_ID") or "0"
     space = f"/{namespace}" if namespace else ""
     ours = {f"{space}/{node}" for node in nodes}
-    if there := sorted(ours.intersection(heard_in(domain))):
+    there = sorted(ours.intersection(heard_in(domain)))
+    if there:
         advice = f"end them, or state ROS_DOMAIN_ID={free_domain()} or --namespace"
         raise ConfigurationError(f"{', '.join(there)} run in ROS domain {domain} already: {advice}")
 

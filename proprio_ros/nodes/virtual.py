@@ -12,6 +12,7 @@ from rclpy.callback_groups import CallbackGroup
 from rclpy.parameter import Parameter as RosParameter
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
+from std_srvs.srv import SetBool
 
 from proprio_ros import clock
 from proprio_ros.clock import Pacer
@@ -20,6 +21,7 @@ from proprio_ros.nodes import messages
 from proprio_ros.nodes.managed_node import ManagedNode
 from proprio_ros.nodes.process import run_node
 from proprio_ros.nodes.qos import FROM_MANY, LATCHED, STREAM
+from proprio_ros.nodes.services import Answer, LongService, call, when_there
 from proprio_ros.nodes.tables import CONTROLLERS, VIRTUAL
 from proprio_ros.probes import virtual_object
 from proprio_ros.recordings.description import robot_named
@@ -28,6 +30,8 @@ from proprio_ros.virtual.model import import_mujoco
 from proprio_ros.virtual.objects import Payload
 from proprio_ros.virtual.robot import VirtualRobot
 from proprio_ros.virtual.truth import Truth
+
+SWITCHED_S = 10.0  # the driver answers within 5 s
 
 
 class _Polled(CallbackGroup):
@@ -95,6 +99,8 @@ class VirtualNode(ManagedNode):
         self.create_subscription(
             DiagnosticStatus, "identifier/status", self._on_identifier, LATCHED
         )
+        self._torque = self.create_client(SetBool, "driver/torque")
+        LongService(self, "~/recover", self._recover)
 
     def activate(self) -> None:
         seed = max(self.values["seed"], 0)
@@ -136,6 +142,36 @@ class VirtualNode(ManagedNode):
 
     def cleanup(self) -> None:
         self.remove_on_set_parameters_callback(self._on_parameters)
+
+    def _recover(self, answer: Answer) -> None:
+        """What a person does with an arm that has fallen: torque off, up to where it was at first, torque on."""
+        robot = self._robot
+        if not isinstance(robot, VirtualRobot):
+            answer(
+                False,
+                "only a virtual arm behind the servo bus is lifted; this one is held by its controller",
+            )
+            return
+
+        def end(response: Any, why: str) -> None:
+            held = response is not None and response.success
+            done = "the arm is held in its first pose"
+            answer(held, done if held else why or response.message)
+
+        def lift(response: Any, why: str) -> None:
+            if response is None or not response.success:
+                answer(False, why or response.message)
+                return
+            robot.park()
+            call(self, self._torque, SetBool.Request(data=True), SWITCHED_S, end)
+
+        def switch_off(there: bool) -> None:
+            if there:
+                call(self, self._torque, SetBool.Request(data=False), SWITCHED_S, lift)
+            else:
+                answer(False, "there is no driver that holds it then: start one, and call again")
+
+        when_there(self, self._torque, switch_off)
 
     def _on_excitation(self, message: DiagnosticStatus) -> None:
         """What a person beside a real arm would do when a sequence begins."""

@@ -7,6 +7,7 @@ from pathlib import Path
 from proprio_ros.bus.control_table import BAUD_RATES, servo_model
 from proprio_ros.errors import ConfigurationError
 from proprio_ros.robot import Robot
+from proprio_ros.robot.kinematics import zero_pose
 from proprio_ros.virtual.arm import VirtualArm
 from proprio_ros.virtual.bus import Faults, VirtualBus
 from proprio_ros.virtual.objects import HandObject
@@ -116,6 +117,12 @@ class VirtualRobot:
         with self.port.lock:
             if thing != self.arm.object:
                 self.arm.hold(thing)
+
+    def park(self) -> None:
+        """Bring the arm to its first pose, and hold it there until torque comes on, as a person does; torque must be off."""
+        with self.port.lock:
+            self.arm.set_position({**zero_pose(self.arm.robot), **parked(self.arm.robot)})
+            self._supported = True
 
     def set_fault(self, text: str) -> None:
         """Make something go wrong, or right again.

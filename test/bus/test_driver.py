@@ -899,6 +899,16 @@ def test_a_sample_of_unknown_time_is_left_out_and_starts_no_push(rig: Rig) -> No
     assert rig.driver.modes["joint3"] == "driven", "but a push goes on"
 
 
+def test_a_warning_that_is_repeated_is_said_once_in_a_while(rig: Rig) -> None:
+    for turn in range(300):
+        rig.driver._log("warning", f"joint3 turns at {turn / 10:.1f} rad/s")
+        rig.driver._log("error", f"{turn}: lost")
+        rig.clock.sleep(0.01)
+    warned = [words for severity, words in rig.log if severity == "warning"]
+    assert warned == ["joint3 turns at 0.0 rad/s", "joint3 turns at 20.0 rad/s"]
+    assert sum(words.endswith("lost") for _, words in rig.log) == 300
+
+
 def test_a_missing_servo_is_said_once(clock: SimulatedClock, tmp_path: Path) -> None:
     rig = Rig(clock, tmp_path, SETTINGS)
     try:

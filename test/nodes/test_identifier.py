@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 import threading
 from collections import deque
 from collections.abc import Callable, Iterator
@@ -17,6 +18,7 @@ import pytest
 pytest.importorskip("rclpy")
 
 import rclpy
+from rclpy.parameter import Parameter
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, Float64MultiArray, String
@@ -209,6 +211,24 @@ def test_it_says_where_no_priority_is_granted(
     node.hearing = {1}
     node.hear_before_others()
     assert said == [managed_node.NOT_GRANTED] * (not granted)
+
+
+def test_a_baseline_that_is_none_is_refused_when_it_is_stated(nodes: Nodes, tmp_path: Path) -> None:
+    node = nodes.identifier(data_directory=tmp_path, calibration="none")
+    node._prepared = True
+    name = "container_baseline"
+    for stated, why in (
+        ("/dev/zero", "that is no recording"),
+        (str(tmp_path), "not readable as a ROS 2 bag|no recording|metadata"),
+        ("/nowhere", "there is no such recording"),
+    ):
+        result = node._on_parameters([Parameter(name, value=stated)])
+        assert not result.successful
+        assert re.search(why, result.reason), result.reason
+        assert "\n" not in result.reason
+    bag = Path(__file__).parents[2] / "bags" / "contents_rigid_r45_h59" / "baseline_0"
+    for stated in ("", "none", str(bag)):
+        assert node._on_parameters([Parameter(name, value=stated)]).successful
 
 
 def test_what_stood_of_the_hand_is_withdrawn(nodes: Nodes, tmp_path: Path) -> None:

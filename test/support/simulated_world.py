@@ -122,19 +122,7 @@ class Process:
         self._world.graph.remove(self.name)
 
 
-class HandledRobot(virtual_robot.VirtualRobot):
-    """The virtual robot, and a person who may lift its arm."""
-
-    def park(self) -> None:
-        """Lift the arm to where it is parked, as a person does while torque is off."""
-        with self.port.lock:
-            for name, place in virtual_robot.PARKED.items():
-                joint = self.arm.data.joint(name)
-                joint.qpos[:], joint.qvel[:] = place, 0.0
-            self._supported = True  # held by hand until torque is on again
-
-
-class CoarseRobot(HandledRobot):
+class CoarseRobot(virtual_robot.VirtualRobot):
     """Of which what it does matters, and not how exactly.
 
     Its servos and its arm move on by 2 ms, in one step of first order: within 25 mrad of the finer ones in a push of 0.5 rad, as
@@ -213,7 +201,7 @@ class World:
         ROOM["driver"].DynamixelBus = lambda port, *rest: DynamixelBus(
             port, *rest, connect=partial(Wire, self.clock, port)
         )
-        ROOM["virtual"].VirtualRobot = CoarseRobot if coarse else HandledRobot
+        ROOM["virtual"].VirtualRobot = CoarseRobot if coarse else virtual_robot.VirtualRobot
         ROOM["excitation"].LastWords = Speaker
         self._needed: dict[str, dict[str, Any]] = {
             "virtual": {"link": LINK},

@@ -8,11 +8,12 @@ pytest.importorskip("rclpy")
 pytest.importorskip("mujoco")
 
 from support.simulated_port import simulated
-from support.simulated_world import CoarseRobot, HandledRobot
+from support.simulated_world import CoarseRobot
 
 from proprio_ros.bus.control_table import OperatingMode
 from proprio_ros.robot import load_robot
 from proprio_ros.virtual.objects import Payload
+from proprio_ros.virtual.robot import VirtualRobot
 from proprio_ros.virtual.servo import VirtualServo
 from proprio_ros.virtual.truth import Truth
 
@@ -20,7 +21,7 @@ PUSH_A = -0.46
 PUSHED_S = 0.4
 
 
-def pushed_rad(kind: type[HandledRobot], seed: int) -> float:
+def pushed_rad(kind: type[VirtualRobot], seed: int) -> float:
     """How far an elbow is pushed while the other joints are held [rad]."""
     robot = load_robot("open_manipulator_x")
     with simulated():
@@ -71,7 +72,7 @@ def pushed_rad(kind: type[HandledRobot], seed: int) -> float:
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_a_push_goes_as_far(seed: int) -> None:
-    fine = pushed_rad(HandledRobot, seed)
+    fine = pushed_rad(VirtualRobot, seed)
     coarse = pushed_rad(CoarseRobot, seed)
     assert fine < -0.2
     assert coarse == pytest.approx(fine, rel=0.1)

@@ -213,14 +213,19 @@ def test_what_is_stated_about_the_container_is_a_parameter(arm: Calibrated) -> N
     ).successful
     known = len(arm.folders("container"))
     for baseline, reason in (
-        ("none", "has not been recorded"),
+        ("/dev/zero", "that is no recording"),
         ("/nowhere/bag", "there is no such recording"),
+        (__file__, "not readable as a ROS 2 bag"),
     ):
-        assert client.set("/identifier", "container_baseline", baseline).successful
-        answer = client.call("/identifier/calibrate_container")
-        assert not answer.success
-        assert reason in answer.message
-        assert "\n" not in answer.message
+        result = client.set("/identifier", "container_baseline", baseline)
+        assert not result.successful
+        assert reason in result.reason
+        assert "\n" not in result.reason
+    assert client.set("/identifier", "container_baseline", "none").successful
+    answer = client.call("/identifier/calibrate_container")
+    assert not answer.success
+    assert "has not been recorded" in answer.message
+    assert "\n" not in answer.message
     assert len(arm.folders("container")) == known, "nothing moved"
 
 
