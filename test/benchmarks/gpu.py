@@ -335,10 +335,10 @@ def keep(found: dict[str, Any], file: Path | None, arguments: Sequence[str] | No
         "apart",
         {
             "fits on both": "{fits}",
-            "slopes at the start differ by at most": "{slopes:.0e}",
-            "unknowns of the best start, median": "{median:.0e}",
-            "by more than 1e-9": "{over} fits",
-            "not compared: stopped at the limit of iterations": "{left_out} fits",
+            "first slopes differ by": "{slopes:.0e}",
+            "unknowns, median": "{median:.0e}",
+            "> 1e-9": "{over} fits",
+            "not compared": "{left_out} fits",
         },
     )
     results.row(
