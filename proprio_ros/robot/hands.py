@@ -186,9 +186,9 @@ class _Bodies:
         waiting = [(self._root, 0)]
         while waiting:
             body, passed = waiting.pop()
-            moving = self.moving[body]
+            moving = self._without_sensors(self.moving[body])
             longest = max(moving, key=self.reach, default=None)
-            branches = len(moving) > 1 and passed >= self.beyond[body]
+            branches = passed >= self.beyond[body] and self._forks(moving, longest)
             if longest is None or branches or not longest.independent or self.is_finger(longest):
                 yield body
                 continue
@@ -201,8 +201,36 @@ class _Bodies:
             ]
 
     def is_limb(self, joint: Joint) -> bool:
-        """Whether something hangs there that moves by itself in more than one way, and is no finger."""
-        return self.reach(joint) > 1 and not self.is_finger(joint)
+        """Whether something hangs there that moves by itself in more than one way, and is no finger and no camera."""
+        return self.reach(joint) > 1 and not self.is_finger(joint) and not self._is_sensor(joint)
+
+    def _forks(self, moving: list[Joint], longest: Joint | None) -> bool:
+        """Whether a body moves several others, as a palm does fingers, and not an arm that goes on with something small beside."""
+        if longest is None or self.reach(longest) < FEWEST_JOINTS:
+            return len(moving) > 1
+        return sum(2 * self.reach(each) > self.reach(longest) for each in moving) > 1
+
+    def _without_sensors(self, moving: list[Joint]) -> list[Joint]:
+        """The joints without those that only turn a camera or the like, which hang beside an arm or at its end."""
+        no_sensors = [each for each in moving if not self._is_called_sensor(each)]
+        return [each for each in no_sensors if not self._is_sensor(each)] or no_sensors
+
+    def _is_called_sensor(self, joint: Joint) -> bool:
+        return any(_SENSOR.search(name) for name in (joint.child, joint.name))
+
+    def _is_sensor(self, joint: Joint) -> bool:
+        """By its name, or where one or two joints end in a sensor and no tool, as of a camera that pans and tilts."""
+        if self._is_called_sensor(joint):
+            return True
+        behind = [joint.child]
+        for body in behind:
+            behind += [each.child for each in self.moving[body]]
+        links = [link for body in behind for link in self.links(body)]
+        return (
+            self.reach(joint) < FEWEST_JOINTS
+            and any(map(_SENSOR.search, links))
+            and not any(self.tools(body) for body in behind)
+        )
 
     def links(self, body: str) -> list[str]:
         """Of a body, the last one first; of those as far away, the first."""

@@ -130,6 +130,33 @@ def test_a_hand_with_many_fingers_is_one_hand() -> None:
     assert hands(model) == ("palm",) and len(arm_joints(model, "palm")) == 6
 
 
+@pytest.mark.parametrize(
+    "beside",
+    [
+        [joint("camera_pan", "arm_link{n}", "camera_link")],
+        [joint("pan", "arm_link{n}", "pan_link"), joint("tilt", "pan_link", "tilt_link"),
+         fixed("tilt_link", "realsense_depth_frame")],
+        [joint("hose_reel", "arm_link{n}", "reel")],
+    ],
+)  # fmt: skip
+@pytest.mark.parametrize("place", [1, 2, 3, 4])
+def test_something_that_turns_on_the_arm_is_not_its_hand(beside: list[str], place: int) -> None:
+    """A camera on the elbow was taken for where the hand branches off, and what is below it for a torso."""
+    hung = [text.replace("{n}", str(place)) for text in beside]
+    if "reel" in hung[0] and place == 4:
+        pytest.skip("two joints on, nothing but its name tells a reel from a finger")
+    for tool in ([fixed("arm_link6", "tool0")], []):
+        model = model_of(*limb("arm", "base", 6), *hung, *tool)
+        hand = "tool0" if tool else "arm_link6"
+        assert hands(model) == (hand,) and hand_link(model) == hand
+        assert arm_joints(model, hand) == tuple(f"arm_{number}" for number in range(6))
+
+
+def test_a_camera_that_turns_on_the_hand_is_not_the_hand() -> None:
+    camera = joint("camera_tilt", "arm_link6", "camera_mount")
+    assert hand_link(model_of(*limb("arm", "base", 6), camera)) == "arm_link6"
+
+
 def test_a_gantry_ends_at_its_last_slide() -> None:
     slides = [joint(name, parent, child, kind="prismatic") for name, parent, child in
               (("x", "base", "bridge"), ("y", "bridge", "trolley"), ("z", "trolley", "quill"))]  # fmt: skip
