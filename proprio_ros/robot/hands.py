@@ -201,8 +201,9 @@ class _Bodies:
             ]
 
     def is_limb(self, joint: Joint) -> bool:
-        """Whether something hangs there that moves by itself in more than one way, and is no finger and no camera."""
-        return self.reach(joint) > 1 and not self.is_finger(joint) and not self._is_sensor(joint)
+        """Whether something hangs there that moves by itself in more than one way, and is called neither finger nor camera."""
+        beside = self.is_finger(joint) or self._is_called_sensor(joint)
+        return self.reach(joint) > 1 and not beside
 
     def _forks(self, moving: list[Joint], longest: Joint | None) -> bool:
         """Whether a body moves several others, as a palm does fingers, and not an arm that goes on with something small beside."""

@@ -503,6 +503,7 @@ def _robot(
             raise FormError("urdf is missing; state the robot's URDF file")
         _check_model(given, model, settings.get("urdf"))
         drive_trains, motors = _drive_trains(arm.get("joints", {}), model)
+        _refuse_missing(model, drive_trains, settings.get("urdf"))
         robot = _assembled(given, model, drive_trains, motors, source, settings)
         if given["calibration"] is None:
             _check_digests(settings)
@@ -560,6 +561,19 @@ def _check_model(
     if frame not in links:
         raise FormError(
             f"payload_frame: {model.name} has no link {frame!r}; links: {', '.join(links)}"
+        )
+
+
+def _refuse_missing(model: RobotModel, driven: Iterable[str], urdf: Any) -> None:
+    """Raises: FormError: The URDF lacks the mass of a link that a driven joint moves: it would count as nothing."""
+    moved = {*driven}
+    lacking = [
+        link.name for link in model.links if link.unknown and moved & {*path_to(model, link.name)}
+    ]
+    if lacking:
+        raise FormError(
+            f"{Path(str(urdf)).name}: link{'s' * (len(lacking) > 1)} {some(lacking)}: <inertial> is missing; state mass, centre "
+            "and inertia there"
         )
 
 

@@ -268,6 +268,25 @@ def test_a_link_without_inertia_can_be_held_and_not_moved() -> None:
     assert list(reduced.pseudo_inertia[3:, 3, 3]) == [0.0, 0.5]
 
 
+def test_a_robot_file_wants_the_mass_of_what_its_joints_move(tmp_path: Path) -> None:
+    """It counted as nothing. What hangs beside the arm, or before its joints, may weigh what it does."""
+    beside = joint("e", "base", "beside")
+    links = {"hand": SHAPE, "four": INERTIAL, "beside": SHAPE}
+    urdf = arm(placed(joint("d", "hand", "four"), "0.2 0 0"), beside, **links)
+    (tmp_path / "arm.urdf").write_text(urdf)
+    motor = "{motor: {nominal_torque_constant_N_m_per_A: 1.0}}"
+
+    def stated(*joints: str) -> Path:
+        lines = ["name: arm\nurdf: arm.urdf\npayload_frame: four\njoints:"]
+        path = tmp_path / f"{'_'.join(joints)}.yaml"
+        path.write_text("\n".join([*lines, *(f"  {name}: {motor}" for name in joints)]) + "\n")
+        return path
+
+    with pytest.raises(RobotError, match=r"a_b\.yaml: arm\.urdf: link hand: <inertial> is missing"):
+        load_robot(stated("a", "b"))
+    assert tuple(load_robot(stated("d")).drive_trains) == ("d",)
+
+
 Body = tuple[float, np.ndarray, np.ndarray, Spread]
 
 
