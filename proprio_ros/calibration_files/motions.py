@@ -8,6 +8,8 @@ It is the section ``motion_calibration`` of a robot file that ``extends`` the ro
       torque_scale: {value: 1.0, std: 0.01}                      # true torque over that of the robot file's torque constants
       arm_over_urdf: 1.04                                        # what the torques say the arm weighs, over its URDF's masses
       between_recordings: {common_scale: {std: 0.015, recordings: 4.0}, ..}    # what differs from recording to recording
+      spread_evidence: |                                         # how likely each spread of joints and zeros makes the recordings
+        0 0 0 0 0 0 0 0 0
       joints: [{name: joint1, torque_constant_N_m_per_A: 1.78, residual_N_m: 0.02, correlated_windows: 3.5}, ..]
       unknowns:
         coulomb[joint1]: {value: 0.05, std: 0.004, unit: N m, run_to_run: 0.01}
@@ -84,6 +86,9 @@ _SCALE: dict[str, Form] = {
 
 BETWEEN = frozenset({"common_scale", "own_scale", "friction", "offset", "zero"})
 """What differs between recordings: torque scales and friction relative, offsets in parts of Coulomb friction, zeros [rad]."""
+SPREAD_FACTORS = (0.03, 0.1, 0.2, 0.4, 0.8, 1.3, 2.0, 3.2, 5.0)
+"""Spreads of torque and zeros that are looked at, over those that were published; torques that differ by more are refused as those
+of another unit."""
 _BETWEEN: dict[str, Form] = {
     "std": Number(unit="", lowest=0.0, highest=10.0, open=True),
     "recordings": Number("of what its word is worth", "", 0.0, 1e6, open=True),
@@ -130,6 +135,8 @@ class MotionCalibration:
     # what differs between recordings: of each of `BETWEEN` its standard deviation, and on the word of how many
     # recordings that rests; empty in files that do not say
     between: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    # logarithm of how likely each of `SPREAD_FACTORS` makes these recordings, over how likely none does; 0 where they say nothing
+    spread_evidence: FloatArray = field(default_factory=lambda: np.zeros(len(SPREAD_FACTORS)))
     # how much each joint would tell of a mass in these motions, shape (n,), sum 1; None: not kept in files
     tells: FloatArray | None = None
 
@@ -142,6 +149,11 @@ class MotionCalibration:
     def referenced(self) -> bool:
         """Whether a weighed object told the torque constants."""
         return any(run["load_kg"] > 0.0 for run in self.runs)
+
+    @property
+    def empty_motions(self) -> int:
+        """How many motions with an empty hand it is of."""
+        return sum(run["load_kg"] == 0.0 for run in self.runs)
 
     @property
     def stretches(self) -> int:
@@ -190,6 +202,7 @@ class MotionCalibration:
                 kind: {"std": short(std), "recordings": short(recordings)}
                 for kind, (std, recordings) in self.between.items()
             },
+            "spread_evidence": lines_of([self.spread_evidence], 6),
             "unknowns": unknowns,
             "correlation": triangle_of(self.covariance / std[:, None] / std),
             "deviations": lines_of(self.deviations / std, 9),
@@ -229,6 +242,7 @@ class MotionCalibration:
             fingerprint="",
             runs=runs,
             between=_read_between(section.get("between_recordings", {})),
+            spread_evidence=_read_spread_evidence(section),
         )
 
 
@@ -300,6 +314,16 @@ def _read_between(given: Any) -> dict[str, tuple[float, float]]:
             std, recordings = exactly(entry, _BETWEEN)
             read[kind] = (std, recordings)
     return read
+
+
+def _read_spread_evidence(section: Mapping[str, Any]) -> FloatArray:
+    """Nothing where the file says nothing."""
+    if "spread_evidence" not in section:
+        return np.zeros(len(SPREAD_FACTORS))
+    evidence = np.array([value for row in numbers_of(section, "spread_evidence") for value in row])
+    if len(evidence) != len(SPREAD_FACTORS) or not np.all(np.isfinite(evidence)):
+        raise FormError("spread_evidence is of another release; calibrate again")
+    return evidence
 
 
 def _read_term(entry: Any, kind: str) -> list[float]:

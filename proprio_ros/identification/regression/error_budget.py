@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import stdtrit
+from scipy.optimize import brentq
+from scipy.special import stdtr
 
 from proprio_ros.calibration_files.motions import MotionCalibration
 from proprio_ros.identification.regression.arm_terms import ArmTerms
@@ -33,11 +34,40 @@ CONSTANTS = "torque constants"
 
 
 @dataclass(frozen=True)
+class Mixture:
+    """What a mass errs by, as a mixture over F spreads of what recordings differ by."""
+
+    weights: FloatArray  # how likely each is, shape (F,), sum 1
+    mass: FloatArray  # by how much the mass by each differs from the estimate [kg], shape (F,)
+    variances: FloatArray  # of the mass by each [kg^2], shape (F,)
+    # variance [kg^2] and degrees of freedom of the parts of it that a few stretches or recordings say
+    freedom: Sequence[tuple[float, float]]
+
+    def half_width(self) -> float:
+        """Of the 95 % interval about the estimate [kg]."""
+        # variances by no spread are a difference of two that are nearly the same
+        variances = np.maximum(self.variances, 1e-9 * self.variances.max())
+        effective = effective_freedom(variances, self.freedom)
+        stds = np.sqrt(variances)
+
+        def outside(half: float) -> float:
+            above = stdtr(effective, (self.mass - half) / stds)
+            below = stdtr(effective, (-self.mass - half) / stds)
+            return float(self.weights @ (above + below)) - 0.05
+
+        highest = float(stds.max() + np.abs(self.mass).max())
+        while outside(highest) > 0.0:
+            highest *= 2.0
+        return float(brentq(outside, 0.0, highest))
+
+
+@dataclass(frozen=True)
 class ErrorBudget:
     """What puts how much on a payload's parameters."""
 
     covariances: Mapping[str, FloatArray]  # by cause, each of shape (10, 10)
-    quantile: float  # half width of a 95 % interval of the mass in standard deviations: Student's
+    quantile: float  # half width of a 95 % interval of the mass in standard deviations
+    mixture: Mixture  # that it is of
 
     @classmethod
     def of(
@@ -76,8 +106,14 @@ class ErrorBudget:
         for word, number in solution.variability.by_word.items():
             if word != DIFFERS:
                 freedom.append((variances[word], number))
-        effective = effective_freedom(sum(variances.values()), freedom)
-        return cls(covariances, float(stdtrit(effective, 0.975)))
+        total = sum(variances.values())
+        mixture = Mixture(
+            followed.weights,
+            followed.mass,
+            total - float(followed.scatter[0, 0]) + followed.more_variance,
+            freedom,
+        )
+        return cls(covariances, mixture.half_width() / float(np.sqrt(total)), mixture)
 
     @property
     def covariance(self) -> FloatArray:

@@ -26,6 +26,7 @@ from proprio_ros.calibration_files.motions import (
     BETWEEN,
     BODY_TERMS,
     FRICTION_TERMS,
+    SPREAD_FACTORS,
     TERMS,
     Key,
     MotionCalibration,
@@ -33,7 +34,7 @@ from proprio_ros.calibration_files.motions import (
 from proprio_ros.errors import RecordingError, RobotError, some
 from proprio_ros.identification.estimate import JointFit
 from proprio_ros.identification.regression.arm_terms import ArmTerms
-from proprio_ros.identification.regression.error_budget import ErrorBudget
+from proprio_ros.identification.regression.error_budget import ErrorBudget, Mixture
 from proprio_ros.identification.regression.motion_equations import (
     MIN_STRETCHES,
     WINDOW_S,
@@ -48,7 +49,10 @@ from proprio_ros.identification.regression.motion_prior import (
     priors_of_file,
     relative_torque_std,
 )
-from proprio_ros.identification.regression.recording_variability import RecordingVariability
+from proprio_ros.identification.regression.recording_variability import (
+    RecordingVariability,
+    by_own_spread,
+)
 from proprio_ros.identification.regression.solve import (
     Priors,
     Solution,
@@ -126,6 +130,11 @@ class MotionFit:
     louder_kg: float
     tells: FloatArray  # how much of what is known of the mass each joint tells, shape (n,), sum 1
     shown: tuple[JointFit, ...]  # torque over time, for a picture
+    spread_evidence: (
+        FloatArray  # logarithm of how likely each of `PAIRS` of spreads makes it, shape (F,)
+    )
+    evidence_of_more: FloatArray  # that of another one like it, as it is expected, shape (F,)
+    mixture: Mixture  # that its interval is of [kg], torque constants as they are stated
     # what all of it was made of
     problem: Problem
     priors: Priors
@@ -264,7 +273,7 @@ def learn_arm(
         better_s=50.0,
     )
     priors = priors_of_file(robot, arm, len(motions))
-    solution = _solved_empty(problem, priors)
+    solution, spread_evidence = _solved_empty(problem, priors)
     mean = _mean_of_runs(problem)
     variability = _friction_variability(problem, solution)
     names = arm.model.joint_names
@@ -289,18 +298,20 @@ def learn_arm(
         arm_over_urdf=over_urdf,
         fingerprint=robot.model.fingerprint(),
         runs=tuple(run_entry(motion, 0.0) for motion in motions),
+        spread_evidence=spread_evidence,
         tells=_weight_by_joint(problem, solution.rms, solution.correlation),
     )
     return learnt, _shown(problem, solution, learnt, motions)
 
 
-def _solved_empty(problem: Problem, priors: Priors) -> Solution:
-    """Of motions with an empty hand: of several, with what differs between them."""
+def _solved_empty(problem: Problem, priors: Priors) -> tuple[Solution, FloatArray]:
+    """Of motions with an empty hand: of several, with what differs between them, and how likely each spread makes them."""
     if problem.motions == 1:
-        return solve(problem, priors)
+        return solve(problem, priors), np.zeros(len(SPREAD_FACTORS))
     followed = solve_following(problem, priors, None)
     solution = followed.estimate
-    return replace(solution, covariance=solution.covariance + followed.scatter)
+    averaged = replace(solution, covariance=solution.covariance + followed.scatter)
+    return averaged, by_own_spread(followed.log_likelihood)
 
 
 def _mean_of_runs(problem: Problem) -> FloatArray:
@@ -489,11 +500,7 @@ def fit_payload(
     solution = followed.estimate
     tells = _weight_by_joint(problem, calibration.residual, calibration.correlation)
     residual = problem.rms_by_joint(solution.residual, carrying)
-    empty_residual = np.where(
-        calibration.residual > 0.0,
-        calibration.residual,
-        np.nan,
-    )
+    empty_residual = _of_moved(calibration.residual)
     misfit = _misfit(tells, residual, empty_residual)
     budget = ErrorBudget.of(problem, followed, calibration, misfit, stretches)
     scale = calibration.torque_scale
@@ -516,11 +523,19 @@ def fit_payload(
         louder_kg=scale * _follows_torque(problem, solution),
         tells=tells,
         shown=_shown(problem, solution, calibration, loaded),
+        spread_evidence=followed.log_likelihood,
+        evidence_of_more=followed.log_likelihood_of_more,
+        mixture=budget.mixture,
         problem=problem,
         priors=priors,
         calibration=calibration,
         solution=solution,
     )
+
+
+def _of_moved(residual: FloatArray) -> FloatArray:
+    """Of joints, NaN of one that did not move."""
+    return np.where(residual > 0.0, residual, np.nan)
 
 
 def _misfit(

@@ -190,9 +190,10 @@ def variability_of(
     """
     stated = {kind: (spread, PSEUDO_RECORDINGS) for kind, spread in PUBLISHED.items()}
     stated |= calibration.between
-    # two that differ from the machine alike differ from each other by the root of two more
+    # one differs from the mean of several as it differs from the machine, and as that mean does
+    about_mean = np.sqrt(1.0 + 1.0 / max(calibration.empty_motions, 1))
     spreads = {
-        kind: 2.0**0.5 * PUBLISHED[kind] if kind in CONSIDERED else stated[kind][0]
+        kind: float(about_mean) * PUBLISHED[kind] if kind in CONSIDERED else stated[kind][0]
         for kind in PUBLISHED
     }
     # a pace that is off by a share puts accelerations off by twice that

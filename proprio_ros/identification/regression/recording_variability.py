@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from scipy.optimize import brentq
 from scipy.special import stdtr
 
+from proprio_ros.calibration_files.motions import SPREAD_FACTORS
 from proprio_ros.records import FloatArray
 
 PUBLISHED: Mapping[str, float] = {
@@ -48,8 +49,8 @@ CLOCK = ("pace", "lag")
 """Kinds that are looked for in each recording alone, before all else."""
 FOLLOWED_TOGETHER = (("common_scale",), ("own_scale", "zero"))
 """Kinds whose spread the evidence decides, some together."""
-FACTORS = (0.01, 0.4, 0.8, 1.3, 2.0, 3.2, 5.0)
-"""Of these spreads, over those that were stated; torques that differ by more are refused as those of another unit."""
+FACTORS = SPREAD_FACTORS
+PAIRS = np.array(list(itertools.product(FACTORS, repeat=len(FOLLOWED_TOGETHER))))  # shape (F, 2)
 # How likely it is that torque and zeros of two recordings are alike, before they are looked at.
 AGREE = 0.5
 DIFFERS = "torque and zeros that differ between recordings"
@@ -187,13 +188,25 @@ class Evidence:
     mean: FloatArray  # of the terms over all spreads, none among them, shape (T,)
     wider: Mapping[str, float]  # how many times as far as stated they scatter if they do, by kind
     terms: FloatArray  # by each spread, shape (F, T)
-    weights: FloatArray  # how likely each spread is, shape (F,), sum 1
+    weights: (
+        FloatArray  # how likely each spread is, by what was known before, too, shape (F,), sum 1
+    )
+    log_likelihood: (
+        FloatArray  # of these data by each spread, over that without the terms, shape (F,)
+    )
+    variances: FloatArray  # of what follows the terms, by each spread, shape (F,)
+    variance: float  # of it by the root mean square of spreads
+    log_likelihood_of_more: (
+        FloatArray  # that one more recording like this is expected to have, shape (F,)
+    )
 
 
 def by_evidence(
     kinds: NDArray[np.str_],
     information: FloatArray,
     side: FloatArray,
+    lead: FloatArray,
+    before: FloatArray | float = 0.0,
 ) -> Evidence:
     """Average terms over how far they may scatter, by how likely each spread makes the data.
 
@@ -201,26 +214,61 @@ def by_evidence(
         kinds: Of the T terms.
         information: Of the data, in parts of what is stated of the terms, shape (T, T).
         side: What the data say, weighted alike, shape (T,).
+        lead: By how much something follows each of the terms, shape (T,).
+        before: Of other recordings of the machine, see `by_own_spread`.
     """
     together = np.array([[kind in group for group in FOLLOWED_TOGETHER] for kind in kinds])
-    pairs = np.array(list(itertools.product(FACTORS, repeat=len(FOLLOWED_TOGETHER))))  # (F, 2)
+    pairs = PAIRS
     each = [under(np.square(together @ pair), information, side) for pair in pairs]
     evidence = np.array([log_evidence for log_evidence, _ in each])
     terms = np.array([values for _, values in each])
-    weights, agree = likely(evidence, pairs)
+    weights, agree = likely(evidence, pairs, before)
     wider: dict[str, float] = {}
-    for group, factor in zip(
-        FOLLOWED_TOGETHER,
-        np.sqrt(weights @ np.square(pairs)),
-        strict=True,
-    ):
+    rms = np.sqrt(weights @ np.square(pairs))
+    for group, factor in zip(FOLLOWED_TOGETHER, rms, strict=True):
         wider |= dict.fromkeys(group, float(factor))
+
+    def variance(pair: FloatArray) -> float:
+        _, along = under(np.square(together @ pair), information, lead)
+        return float(lead @ along)
+
     return Evidence(
         (1.0 - agree) * (weights @ terms),
         wider,
         terms,
         weights,
+        evidence,
+        np.array([variance(pair) for pair in pairs]),
+        variance(rms),
+        _of_more(together, pairs, weights, information),
     )
+
+
+def _of_more(
+    together: NDArray[np.bool_],
+    pairs: FloatArray,
+    weights: FloatArray,
+    information: FloatArray,
+) -> FloatArray:
+    """Logarithm of how likely each spread is expected to make one more recording that says as much as this one, shape (F,).
+
+    Its terms scatter by the spread that is most likely, on average over what noise it may have.
+
+    Args:
+        together: Which of a pair's spreads each of the T terms has, shape (T, 2).
+        pairs: Of `FACTORS`, shape (F, 2).
+        weights: How likely each is, shape (F,).
+        information: Of the data on the terms, in parts of what is stated of them, shape (T, T).
+    """
+    usual = np.square(together @ np.exp(weights @ np.log(pairs)))
+    of_data = information + information * usual @ information  # covariance of what it says
+    found = []
+    for pair in pairs:
+        variances = np.square(together @ pair)
+        widened = np.eye(len(information)) + variances[:, None] * information
+        fit = np.trace(np.linalg.solve(widened, variances[:, None] * of_data))
+        found.append(0.5 * float(fit - np.linalg.slogdet(widened)[1]))
+    return np.array(found)
 
 
 def under(
@@ -243,23 +291,46 @@ def under(
     return 0.5 * float(side @ values - np.linalg.slogdet(widened)[1]), values
 
 
-def likely(log_evidence: FloatArray, factors: FloatArray) -> tuple[FloatArray, float]:
+def likely(
+    log_evidence: FloatArray, factors: FloatArray, before: FloatArray | float = 0.0
+) -> tuple[FloatArray, float]:
     """How likely pairs of `FACTORS` are by their evidence, where recordings differ, and that they agree.
 
-    ``log_evidence``: shape (F,); ``factors``: the pairs, shape (F, 2).
+    Args:
+        log_evidence: Of a recording, shape (F,).
+        factors: The pairs, shape (F, 2).
+        before: Of other recordings of the machine, see `by_own_spread`, in the order of `FACTORS`.
 
     Returns: Shape (F,), sum 1; and the probability that recordings agree.
     """
-    # a half Cauchy prior (Gelman 2006, Bayesian Analysis 1), and the steps of the grid
-    steps = np.gradient(np.array(FACTORS))[np.searchsorted(FACTORS, factors)]
-    prior = np.prod(
-        steps / (1.0 + np.square(factors)),
-        axis=1,
-    )
-    highest = max(float(log_evidence.max()), 0.0)
-    weights: FloatArray = prior / prior.sum() * np.exp(log_evidence - highest)
+    prior = _half_cauchy(factors).prod(axis=1)
+    known = log_evidence + np.tile(before + np.zeros(len(FACTORS)), len(FACTORS))
+    highest = max(float(known.max()), 0.0)
+    weights: FloatArray = prior / prior.sum() * np.exp(known - highest)
     agree = AGREE * np.exp(-highest)
     return weights / weights.sum(), float(agree / (agree + (1.0 - AGREE) * weights.sum()))
+
+
+def by_own_spread(log_likelihood: FloatArray) -> FloatArray:
+    """Logarithm of how likely each spread of joints and zeros makes recordings, in the order of `FACTORS`.
+
+    What they say of the share in common is not kept: motors warm up together, and the recordings at hand may be of one hour.
+
+    Args:
+        log_likelihood: By each of `PAIRS`, shape (F,).
+    """
+    highest = float(log_likelihood.max())
+    common = _half_cauchy(np.array(FACTORS))
+    likelihood = np.exp(log_likelihood - highest).reshape(len(FACTORS), -1)
+    result: FloatArray = np.log(common @ likelihood / common.sum()) + highest
+    return result
+
+
+def _half_cauchy(factors: FloatArray) -> FloatArray:
+    """Prior of spreads (Gelman 2006, Bayesian Analysis 1) times the steps of the grid, of the shape of the factors."""
+    steps = np.gradient(np.array(FACTORS))[np.searchsorted(FACTORS, factors)]
+    result: FloatArray = steps / (1.0 + np.square(factors))
+    return result
 
 
 def spread_posterior(errors: FloatArray, variances: FloatArray) -> FloatArray:

@@ -153,6 +153,14 @@ class Followed:
     estimate: Solution
     opened: Solution  # by spreads as they are stated
     scatter: FloatArray  # how solutions by each spread scatter about the estimate, covariance, shape (U, U)
+    weights: FloatArray  # how likely each of F spreads is, shape (F,), sum 1
+    mass: FloatArray  # by how much the mass by each of them differs from the estimate [kg], shape (F,)
+    # by how much more its variance is by each of them than by what the estimate has [kg^2], shape (F,)
+    more_variance: FloatArray
+    log_likelihood: FloatArray  # of the data by each of them, shape (F,)
+    log_likelihood_of_more: (
+        FloatArray  # that another recording like this one is expected to have, shape (F,)
+    )
 
 
 def solve_following(
@@ -178,7 +186,8 @@ def solve_following(
         np.float64,
     )  # (K, K)
     leads = opened.covariance[:, terms.at] @ precision  # (U, K)
-    found = terms.evidence(opened, precision, variability)
+    before = 0.0 if known is None else known.spread_evidence
+    found = terms.evidence(opened, precision, variability, leads[0], before)
     mean = terms.basis @ found.mean  # (K,), in parts of std
     apart = (found.terms @ terms.basis.T - mean) * std @ leads.T  # (F, U)
     wider = {kind: variability.spreads[kind] * times for kind, times in found.wider.items()}
@@ -197,6 +206,11 @@ def solve_following(
         estimate=_moved(problem, opened, values, wide, differs),
         opened=opened,
         scatter=(apart * found.weights[:, None]).T @ apart,
+        weights=found.weights,
+        mass=apart[:, 0],
+        more_variance=found.variances - found.variance,
+        log_likelihood=found.log_likelihood,
+        log_likelihood_of_more=found.log_likelihood_of_more,
     )
 
 
@@ -239,11 +253,21 @@ class _Considered:
         return np.tile(of_own, self.motions)[self.own]
 
     def evidence(
-        self, opened: Solution, precision: FloatArray, stated: RecordingVariability
+        self,
+        opened: Solution,
+        precision: FloatArray,
+        stated: RecordingVariability,
+        lead: FloatArray,
+        before: FloatArray | float,
     ) -> Evidence:
         """What data say of these terms, in parts of what is stated of them.
 
-        ``opened``: a solution that had them open; ``precision``: theirs in it, shape (K, K); ``stated``: by how much they differ.
+        Args:
+            opened: A solution that had them open.
+            precision: Theirs in it, shape (K, K).
+            stated: By how much they differ.
+            lead: By how much the mass follows them, shape (K,).
+            before: What other recordings say of their spreads, see `by_evidence`.
         """
         opened_std = self.each_motion(opened.variability.std)
         std = self.each_motion(stated.std)
@@ -254,6 +278,8 @@ class _Considered:
             self.each_motion(stated.kinds)[: self.basis.shape[1]],
             self.basis.T @ information @ self.basis,
             self.basis.T @ side,
+            self.basis.T @ (std * lead),
+            before,
         )
 
 

@@ -11,12 +11,14 @@ from proprio_ros.calibration_files.motions import MotionCalibration
 from proprio_ros.identification.judge import ACCEPTED, FAR, Refusal, not_identifiable, rejected
 from proprio_ros.identification.reasons import Reason
 from proprio_ros.identification.regression import refusals
+from proprio_ros.identification.regression.error_budget import CALIBRATION
 from proprio_ros.identification.regression.motion_fit import (
     Centre,
     MotionFit,
     fit_payload,
     run_entry,
 )
+from proprio_ros.identification.regression.recording_variability import by_own_spread
 from proprio_ros.quantity import Z95, shown
 from proprio_ros.recordings.motions import Motion
 from proprio_ros.robot import Robot
@@ -76,15 +78,15 @@ def scaled_by_references(
             reasons=(Reason("says_too_little", coarse),),
         )
     scale, variance = _mean_scale(ratios)
-    drives = [robot.drive_trains[joint] for joint in calibration.joints]
-    if all(drive.torque_constant.std > 0.0 for drive in drives):
-        scale, variance = _with_stated(scale, variance, calibration.torque_scale_std)
+    scale, variance = _with_stated(scale, variance, calibration.torque_scale_std)
     runs = [run_entry(motion, mass_kg) for motion, mass_kg in references]
+    by_references = [by_own_spread(reading.fit.spread_evidence) for reading in readings]
     scaled = replace(
         calibration,
         torque_scale=scale,
         torque_scale_std=float(np.sqrt(variance)) / scale,
         runs=(*calibration.runs, *runs),
+        spread_evidence=calibration.spread_evidence + np.sum(by_references, axis=0),
     )
     return scaled, ACCEPTED
 
@@ -95,6 +97,7 @@ class _Ratio:
 
     value: float
     std: float
+    shared: float = 0.0  # of that, by the calibration that all readings lean on
 
 
 @dataclass(frozen=True)
@@ -123,9 +126,11 @@ class _Reading:
         read = self.read_kg
         std = self.std_kg
         # the reciprocal of what is uncertain is on average too large by its variance
+        relative = self.mass_kg / read**2
         return _Ratio(
             self.mass_kg * read / (read**2 + std**2),
-            std * self.mass_kg / read**2,
+            relative * std,
+            relative * self.fit.parts[CALIBRATION],
         )
 
     @property
@@ -174,14 +179,19 @@ def _misplaced(
 
 
 def _mean_scale(ratios: Sequence[_Ratio]) -> tuple[float, float]:
-    """The mean of ratios by their variances, and its variance."""
-    values = [ratio.value for ratio in ratios]
-    stds = [ratio.std for ratio in ratios]
-    weights = np.square(1.0 / np.array(stds))
+    """The mean of ratios by what each has of its own, and its variance: of that each tells apart, of the calibration they do not.
+
+    Where they differ by more than they say, what they have of their own counts as much as they differ (Birge 1932, Physical
+    Review 40).
+    """
+    values = np.array([ratio.value for ratio in ratios])
+    stds = np.array([ratio.std for ratio in ratios])
+    shared = np.array([ratio.shared for ratio in ratios])
+    weights = 1.0 / np.maximum(np.square(stds) - np.square(shared), 1e-4 * np.square(stds))
     scale = float(weights @ values / weights.sum())
-    # all of them lean on the same calibration: together they say no more than the best one
-    scatter = float(np.std(values, ddof=1)) if len(values) > 1 else 0.0
-    return scale, min(stds) ** 2 + scatter**2
+    differ = float(weights @ np.square(values - scale)) / max(len(values) - 1, 1)
+    in_common = float(weights @ shared / weights.sum())
+    return scale, max(1.0, differ) / float(weights.sum()) + in_common**2
 
 
 def _with_stated(scale: float, variance: float, stated_std: float) -> tuple[float, float]:

@@ -47,7 +47,7 @@ from proprio_ros.identification.regression.motion_fit import (
     fit_payload,
 )
 from proprio_ros.identification.regression.motion_prior import relative_torque_std
-from proprio_ros.identification.regression.narrowing import by_a_known_load
+from proprio_ros.identification.regression.narrowing import by_one_more
 from proprio_ros.identification.regression.rigid_body import inertia_about_centre, nearest_body
 from proprio_ros.identification.regression.trends import CHANGES, ROUNDS, Trend, without_trend
 from proprio_ros.quantity import shown
@@ -290,7 +290,7 @@ def _identified(
         notes=(
             *refusals.moved_only_loaded(fit),
             *refusals.passed_over(fit.joints, fit.tells, fit.unexplained, motions[0]),
-            *(() if refusal.withheld else by_a_known_load(robot, weighing.calibration, fit)),
+            *(() if refusal.withheld else by_one_more(robot, weighing.calibration, fit)),
         ),
         shown=fit.shown,
     )

@@ -3,26 +3,33 @@
 from __future__ import annotations
 
 import itertools
+import tempfile
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from between_recordings import Answer, arm_answers, pendulum_answers
+from scipy.special import stdtrit
 from servos import FILE, KNOWN_KG, POINT, Servo
-from support.arm_in_motion import FOUR, SIX, write_robot
+from support.arm_in_motion import FOUR, SIX, Twin, write_robot
 from support.differing import DifferingArm, louder
 from support.machines import pendulum_urdf
 from support.servo_bag import write
 
 from proprio_ros.identification.estimate import Verdict
+from proprio_ros.identification.regression.error_budget import Mixture
+from proprio_ros.identification.regression.motion_equations import once_each
+from proprio_ros.identification.regression.motion_fit import fit_empty, fit_payload
 from proprio_ros.identification.regression.recording_variability import (
     DIFFERS,
     FACTORS,
+    PAIRS,
     PSEUDO_RECORDINGS,
     PUBLISHED,
     RecordingVariability,
     by_evidence,
+    by_own_spread,
     likely,
     spread_of_runs,
     under,
@@ -150,11 +157,84 @@ def test_terms_are_followed_as_far_as_they_stand_out() -> None:
             kinds,
             9.0 * np.eye(3),
             9.0 * np.full(3, found),
+            np.ones(3),
         )
         assert np.all(evidence.mean > least) and np.all(evidence.mean < most)
         assert len(evidence.terms) == len(evidence.weights) == len(FACTORS) ** 2
         assert set(evidence.wider) == set(kinds)
     assert evidence.wider["common_scale"] > 2.0
+
+
+@pytest.mark.parametrize("spread", [0.1, 0.8, 3.2])
+def test_what_follows_the_terms_is_as_uncertain_as_they_are_by_each_spread(spread: float) -> None:
+    kinds = np.array(["common_scale", "own_scale", "zero"])
+    lead = np.array([1.0, -2.0, 0.5])
+    information = 4.0 * np.eye(3) + 1.0
+    evidence = by_evidence(kinds, information, np.ones(3), lead)
+    at = list(map(tuple, PAIRS)).index((spread, 0.4))
+    prior = np.diag(1.0 / np.square([spread, 0.4, 0.4]))
+    expected = lead @ np.linalg.inv(prior + information) @ lead
+    assert evidence.variances[at] == pytest.approx(expected)
+
+
+@pytest.mark.parametrize("strength", [0.5, 5.0, 50.0])
+def test_one_more_recording_says_on_average_what_is_expected_of_it(strength: float) -> None:
+    rng = np.random.default_rng(3)
+    kinds = np.array(["common_scale", "own_scale", "zero"])
+    information = strength * (np.eye(3) + 0.3)
+    found = by_evidence(kinds, information, np.zeros(3), np.ones(3))
+    usual = np.exp(found.weights @ np.log(PAIRS))[[0, 1, 1]]
+    said = []
+    for _ in range(4000):
+        terms = usual * rng.standard_normal(3)
+        side = information @ terms + np.linalg.cholesky(information) @ rng.standard_normal(3)
+        said.append(
+            [under(np.square(pair[[0, 1, 1]]), information, side)[0] for pair in PAIRS[::9]]
+        )
+    assert np.mean(said, axis=0) == pytest.approx(found.log_likelihood_of_more[::9], abs=0.08)
+
+
+def test_recordings_that_repeat_make_small_spreads_of_joints_likely_and_leave_the_one_in_common() -> (
+    None
+):
+    agree = np.array([-20.0 * np.sum(np.square(pair)) for pair in PAIRS])
+    before = by_own_spread(agree)
+    assert np.all(np.diff(before) < 0.0)
+    alone, _ = likely(np.zeros(len(PAIRS)), PAIRS)
+    after, _ = likely(np.zeros(len(PAIRS)), PAIRS, before)
+    common, own = np.sqrt(after @ np.square(PAIRS))
+    assert common == pytest.approx(np.sqrt(alone @ np.square(PAIRS[:, 0])))
+    assert own < 0.2
+    # recordings that say nothing change nothing
+    assert likely(np.zeros(len(PAIRS)), PAIRS, by_own_spread(np.zeros(len(PAIRS))))[
+        0
+    ] == pytest.approx(alone)
+
+
+def test_an_interval_of_a_mixture_has_19_of_20() -> None:
+    rng = np.random.default_rng(4)
+    one = Mixture(np.ones(1), np.zeros(1), np.array([4.0]), [(4.0, 5.0)])
+    assert one.half_width() == pytest.approx(2.0 * stdtrit(5.0, 0.975))
+    weights = np.array([0.7, 0.25, 0.05])
+    mass = np.array([0.0, 0.5, -2.0])
+    stds = np.array([0.5, 1.0, 4.0])
+    kind = rng.choice(3, 200_000, p=weights)
+    drawn = mass[kind] + stds[kind] * rng.standard_normal(len(kind))
+    half = Mixture(weights, mass, np.square(stds), []).half_width()
+    assert np.mean(np.abs(drawn) < half) == pytest.approx(0.95, abs=0.003)
+
+
+def test_more_recordings_of_an_arm_that_repeats_narrow_what_it_weighs() -> None:
+    arm = Twin(5, FOUR)
+    with tempfile.TemporaryDirectory() as folder:
+        robot = load_robot(write_robot(Path(folder), build=FOUR))
+    held = (0.2, np.array([FOUR.held_m, 0.0, 0.0]))
+    with once_each():
+        empty = [arm.record(f"empty {n}", 12.0) for n in range(3)]
+        asked = arm.record("asked", 12.0, held)
+        one = fit_payload(robot, [asked], fit_empty(robot, empty[:1]))
+        three = fit_payload(robot, [asked], fit_empty(robot, empty))
+    assert abs(three.values[0] - held[0]) < three.half_width < 0.85 * one.half_width
 
 
 def mostly_hold(
