@@ -111,7 +111,7 @@ class Tab:
 
     def press(self, key: str, code: str = "", text: str = "") -> None:
         """A key, down and up."""
-        number = {"Tab": 9, "Enter": 13, " ": 32}.get(key, ord(key[0]))
+        number = {"Tab": 9, "Enter": 13, " ": 32, "ArrowDown": 40}.get(key, ord(key[0]))
         which = {"key": key, "code": code or key, "windowsVirtualKeyCode": number}
         written = {"text": text} if text else {}
         self.call("Input.dispatchKeyEvent", type="keyDown", **which, **written)

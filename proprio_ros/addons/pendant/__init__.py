@@ -4,6 +4,7 @@
 ``lease``      who may move the arm;
 ``news``       what the nodes say, with its age; ``listener`` hears it, the only module here that imports ROS;
 ``calls``      ``proprio call`` as a process, one at a time;
+``places``     where recordings may lie; ``desk`` those that are chosen; ``jobs`` commands about them as processes, one at a time;
 ``pendant``    these together;
 ``frame``      what every page has: navigation, lights, STOP; ``pages`` has a module for each;
 ``server``     the pages behind the gate.

@@ -60,6 +60,11 @@ class Call:
         return shlex.join(["proprio", *self.words])
 
     @property
+    def program(self) -> list[str]:
+        """What the process runs."""
+        return [sys.executable, "-m", "proprio_ros.cli", *self.words, "--json"]
+
+    @property
     def under_way(self) -> bool:
         """Whether its answer has not come yet."""
         return self.answer is None
@@ -82,13 +87,7 @@ class Call:
         """Until it is answered."""
         try:
             self._process = await asyncio.create_subprocess_exec(
-                *(
-                    sys.executable,
-                    "-m",
-                    "proprio_ros.cli",
-                    *self.words,
-                    "--json",
-                ),
+                *self.program,
                 stdin=DEVNULL,
                 stdout=PIPE,
                 stderr=PIPE,

@@ -12,3 +12,10 @@ for (const kind of ["keydown", "keyup"]) {
     if (kind === "keydown" && !event.repeat) stop();
   }, true);
 }
+// a file goes as it is, to a folder of its own; what is refused is said in one sentence
+async function sendRecording(file, most) {
+  if (file.size > most) return `${file.name}: larger than ${most / 2 ** 20} MiB; copy it into the folder instead`;
+  try {
+    return await (await fetch("/upload?name=" + encodeURIComponent(file.name), {method: "POST", body: file})).text();
+  } catch { return `${file.name}: was not taken`; }
+}

@@ -4,17 +4,22 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from proprio_ros.addons.pendant.calls import Call, Calls
+from proprio_ros.addons.pendant.desk import Desk
 from proprio_ros.addons.pendant.lease import Lease
 from proprio_ros.addons.pendant.news import News
+from proprio_ros.addons.pendant.places import Places
 from proprio_ros.errors import ConfigurationError, ProprioError
 from proprio_ros.robot import Robot, load_robot
 
 if TYPE_CHECKING:
     from proprio_ros.addons.pendant.listener import Listener
 
+DATA = "~/.ros/proprio_ros"
+"""Where the nodes keep things unless they are told otherwise, as in config/identifier.yaml."""
 ENDS_S = 20.0
 """So long a call that is cancelled may take to have the arm held."""
 
@@ -31,6 +36,7 @@ class Pendant:
         news: What the nodes say.
         lease: Who may move the arm.
         calls: What is called.
+        desk: Recordings that are worked on.
         no_ros: Why nothing is heard; empty: it is.
     """
 
@@ -43,6 +49,7 @@ class Pendant:
         self.news = News()
         self.lease = Lease()
         self.calls = Calls(namespace, tell)
+        self.desk = Desk(Places(Path.cwd(), Path(DATA).expanduser() / namespace), tell)
         self.no_ros = ""
         self._listener: Listener | None = None
         self._robots: dict[str, Robot | None] = {}
@@ -63,6 +70,7 @@ class Pendant:
 
     async def close(self) -> None:
         """End what is under way, and have the arm held."""
+        await self.desk.jobs.close()
         call = self.calls.under_way
         if call is not None:
             call.cancel()
@@ -119,6 +127,14 @@ class Pendant:
         if self._listener is None:
             return None
         return await asyncio.to_thread(self._listener.parameters, *names)
+
+    async def at_desk(self) -> Desk:
+        """The desk, with what the nodes keep, where they say it."""
+        found = await self.parameters("data_directory")
+        if found and found["data_directory"]:
+            folder = Path(str(found["data_directory"])).expanduser() / self.namespace
+            self.desk.places.data = folder.resolve()
+        return self.desk
 
     async def robot(self) -> Robot | None:
         """The arm that the identifier weighs with; None: it is not known here."""

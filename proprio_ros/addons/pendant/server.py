@@ -18,6 +18,7 @@ from proprio_ros.addons.pendant.answers import report_of
 from proprio_ros.addons.pendant.frame import frame
 from proprio_ros.addons.pendant.gate import Gate
 from proprio_ros.addons.pendant.lease import SILENCE_S
+from proprio_ros.addons.pendant.offline import add_requests
 from proprio_ros.addons.pendant.pendant import Pendant
 from proprio_ros.errors import ConfigurationError
 
@@ -100,6 +101,7 @@ def _site(pendant: Pendant) -> FastAPI:
         alone = {"Content-Security-Policy": "sandbox allow-scripts", "Cache-Control": "no-store"}
         return FileResponse(page, headers=alone)
 
+    add_requests(site, pendant)
     app.timer(WATCH_S, pendant.watch)
     app.on_shutdown(pendant.close)
     app.config.socket_io_js_transports = ["websocket"]

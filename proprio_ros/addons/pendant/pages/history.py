@@ -1,12 +1,193 @@
-"""History."""
+"""History: what was weighed, calibrated and recorded, how the arm changed, and two answers beside each other."""
 
 from __future__ import annotations
 
-from nicegui import ui
+from collections.abc import Sequence
+from functools import partial
+from html import escape
+from pathlib import Path
+from typing import Any
 
+from nicegui import run, ui
+
+from proprio_ros.addons.pendant import results
+from proprio_ros.addons.pendant.desk import Desk
+from proprio_ros.addons.pendant.kept import Kept, kept, terms
+from proprio_ros.addons.pendant.offline import address_of
+from proprio_ros.addons.pendant.pages.recordings import attempt, draw, select
 from proprio_ros.addons.pendant.pendant import Pendant
+from proprio_ros.quantity import shown, spec_for
+
+MOST_CALIBRATIONS = 40
+NOTHING = "&ndash;"
 
 
-def show(pendant: Pendant) -> None:
+async def show(pendant: Pendant) -> None:
     """Fill the page."""
-    ui.label("Nothing here yet.")
+    desk = await pendant.at_desk()
+    with ui.element("div").classes("steps history"):
+        roots = {str(path): f"{name}: {path}" for name, path in desk.places.roots.items()}
+
+        async def fill(folder: str | Path) -> None:
+            found = await run.io_bound(kept, desk.places, Path(folder))
+            place.clear()
+            with place:
+                await _fill(desk, found or [])
+
+        select("Folder", roots, str(desk.places.data), fill)
+        place = ui.element("div").classes("steps")
+    await fill(desk.places.data)
+
+
+async def _fill(desk: Desk, found: Sequence[Kept]) -> None:
+    with ui.element("section").classes("card").props('aria-label="Kept"'):
+        ui.label("What was weighed, calibrated and recorded").classes("title").props(
+            "role=heading aria-level=1"
+        )
+        if not found:
+            ui.label(
+                "Nothing is kept there yet: what the wizard or Recordings answers is."
+            ).classes("small")
+            return
+        ui.html(_table(desk, found), sanitize=False)
+    answers = [each for each in found if each.estimate.get("estimates")]
+    if len(answers) > 1:
+        with ui.element("section").classes("card").props('aria-label="Compare"'):
+            _Compare(answers)
+    calibrated = [each for each in found if each.calibration][:MOST_CALIBRATIONS]
+    if len(calibrated) > 1:
+        await _drift(calibrated[::-1])
+    bags = [each for each in found if each.bag]
+    if bags:
+        with ui.element("section").classes("card").props('aria-label="Look into a recording"'):
+            ui.label("Work with a recording").classes("title").props("role=heading aria-level=2")
+            names = {"": "choose ...", **{str(each.bag): each.folder.name for each in bags}}
+            select("Put on the desk of Recordings", names, "", partial(_put, desk))
+
+
+def _put(desk: Desk, bag: str) -> None:
+    if bag:
+        attempt(partial(desk.choose, Path(bag)))
+        ui.navigate.to("/recordings")
+
+
+def _table(desk: Desk, found: Sequence[Kept]) -> str:
+    rows = []
+    for each in found:
+        number, interval = results.number_of(each.estimate)
+        said = each.estimate.get("verdict", "")
+        page = address_of(each.report, desk.places) if each.report else ""
+        link = (
+            f'<a class="report" href="{escape(page)}" target="_blank">report</a>'
+            if page
+            else NOTHING
+        )
+        rows.append(
+            [
+                f"{each.when:%Y-%m-%d %H:%M}",
+                escape(each.what),
+                escape(number) or NOTHING,
+                escape(interval.removeprefix("95 % interval ")) or NOTHING,
+                results.verdict(said)
+                if said
+                else ("calibration" if each.calibration else "recording"),
+                link,
+            ]
+        )
+    return results.table(["when", "what", "answer", "95 % interval", "", ""], rows)
+
+
+class _Compare:
+    """Two answers beside each other."""
+
+    def __init__(self, answers: Sequence[Kept]) -> None:
+        self._answers = {each.folder.name: each for each in answers}
+        names = {
+            name: f"{name}: {results.number_of(each.estimate)[0] or 'no number'}"
+            for name, each in self._answers.items()
+        }
+        self._chosen = list(names)[:2]
+        ui.label("Compare two answers").classes("title").props("role=heading aria-level=2")
+        with ui.element("div").classes("row"):
+            for place, label in enumerate(("One", "The other")):
+                select(label, names, self._chosen[place], partial(self._choose, place))
+        self._shown = ui.html(sanitize=False).props("role=status")
+        self._show()
+
+    def _choose(self, place: int, name: str) -> None:
+        self._chosen[place] = name
+        self._show()
+
+    def _show(self) -> None:
+        both = [self._answers[name].estimate for name in self._chosen]
+        rows = [
+            [escape(title), *(escape(str(words)) for words in cells)]
+            for title, cells in _differences(*both)
+        ]
+        said = f'<p class="state">{escape(_apart(*both))}</p>'
+        self._shown.set_content(results.table(["", *self._chosen], rows) + said)
+
+
+def _differences(one: dict[str, Any], other: dict[str, Any]) -> list[tuple[str, list[str]]]:
+    """What each says, by what it is about."""
+
+    def cells(estimate: dict[str, Any]) -> dict[str, str]:
+        number, interval = results.number_of(estimate)
+        used = estimate.get("calibration") or {}
+        return {
+            "answer": number or "no number",
+            "95 % interval": interval.removeprefix("95 % interval "),
+            "verdict": str(estimate.get("verdict", "")).replace("_", " "),
+            "probe": str(estimate.get("probe", "")),
+            "robot": str(estimate.get("robot", "")),
+            "calibration": str(used.get("fingerprint", "none"))[:8],
+            "runs": str(estimate.get("runs", "")),
+            "version": str(estimate.get("version", "")),
+        }
+
+    first = cells(one)
+    second = cells(other)
+    return [(key, [first[key], second[key]]) for key in first]
+
+
+def _apart(one: dict[str, Any], other: dict[str, Any]) -> str:
+    """How far apart two answers are, and whether their intervals meet."""
+    first = one["estimates"][0]
+    second = other["estimates"][0]
+    if first["name"] != second["name"] or first["value"] is None or second["value"] is None:
+        return "They do not both have a number of the same kind."
+    if not isinstance(first["value"], float) or not first.get("ci95") or not second.get("ci95"):
+        return ""
+    apart = shown(
+        first["unit"],
+        abs(first["value"] - second["value"]),
+        spec=spec_for(first["unit"], first["std"]),
+    )
+    meet = max(first["ci95"][0], second["ci95"][0]) <= min(first["ci95"][1], second["ci95"][1])
+    return f"{apart} apart; their intervals {'overlap' if meet else 'do not overlap'}."
+
+
+async def _drift(calibrated: Sequence[Kept]) -> None:
+    """Dry friction of each joint by its calibrations."""
+    found = [await run.io_bound(terms, each.calibration) or {} for each in calibrated]
+    names = sorted({joint for each in found for joint in each})
+    days = [f"{each.when:%Y-%m-%d %H:%M}" for each in calibrated]
+    rows = [
+        [day, *(_within(each.get(joint)) for joint in names)]
+        for day, each in zip(days, found, strict=True)
+    ]
+    curves = {
+        joint: [
+            [day, each[joint][0]] for day, each in zip(days, found, strict=True) if joint in each
+        ]
+        for joint in names
+    }
+    with ui.element("section").classes("card").props('aria-label="How the arm drifts"'):
+        ui.label("How the arm drifts").classes("title").props("role=heading aria-level=2")
+        title = "Dry friction [N m or N], by calibration"
+        draw([{"title": title, "curves": curves, "across": "category", "unit": ""}])
+        ui.html(results.table(["calibrated", *names], rows), sanitize=False)
+
+
+def _within(known: tuple[float, float] | None) -> str:
+    return f"{known[0]:.4f} &plusmn;{known[1]:.4f}" if known else NOTHING

@@ -1,12 +1,372 @@
-"""Recordings."""
+"""Recordings: choose some, look into them, say what the hand holds in each, and have the answer."""
 
 from __future__ import annotations
 
-from nicegui import ui
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from html import escape
+from pathlib import Path
+from typing import Any
 
+from nicegui import run, ui
+from nicegui.events import GenericEventArguments
+
+from proprio_ros.addons.pendant import results
+from proprio_ros.addons.pendant.desk import KNOWN, ROLES, Chosen, Desk, batches
+from proprio_ros.addons.pendant.jobs import Job
+from proprio_ros.addons.pendant.kept import calibrations
+from proprio_ros.addons.pendant.offline import address_of
 from proprio_ros.addons.pendant.pendant import Pendant
+from proprio_ros.addons.pendant.places import MOST_BYTES, TAKEN, UPLOADS, Entry
+from proprio_ros.errors import ProprioError
+from proprio_ros.inputs.resources import resource_names
+from proprio_ros.probes import all_probes
+
+READS_S = 0.5
+LATEST = 3
+GREY = "#8a94a3"
+COLOURS = ["#2a9cc4", "#e08a2c", "#5fa35a", "#c9605c", "#9380c6", "#b08d57", "#7f8fa6"]
+"""Of curves, on bright and dark."""
+SHOWS = (
+    "setTimeout(() => document.querySelector('.progress').scrollIntoView({block: 'center'}), 700)"
+)
+SENDS = """async (event) => {
+  event.preventDefault();
+  for (const file of [...(event.dataTransfer || event.target).files]) emit(await sendRecording(file, MOST));
+  if (event.type === "change") event.target.value = "";
+}""".replace("MOST", str(MOST_BYTES))
 
 
-def show(pendant: Pendant) -> None:
+async def show(pendant: Pendant) -> None:
     """Fill the page."""
-    ui.label("Nothing here yet.")
+    desk = await pendant.at_desk()
+    with ui.element("div").classes("offline"):
+        _Browser(pendant, ui.element("section").classes("card").props('aria-label="Choose"'))
+        with ui.element("div").classes("steps"):
+            chosen = ui.element("section").classes("card").props('aria-label="Chosen recordings"')
+            asked = ui.element("section").classes("card").props('aria-label="What is asked"')
+            await _ask(pendant, asked)
+            _Outcome(desk, pendant.read_only)
+    _Chosen(pendant, chosen)
+
+
+def attempt(act: Callable[[], Any]) -> None:
+    """Do it, or say why not."""
+    try:
+        act()
+    except ProprioError as error:
+        ui.notify(str(error), type="negative", timeout=8000)
+
+
+def select(
+    label: str, options: Mapping[str, str], value: str, change: Callable[[str], Any]
+) -> ui.element:
+    """A box of the browser's own, which keys move through.
+
+    Args:
+        label: Its name.
+        options: Words by what they stand for.
+        value: What is chosen.
+        change: Called with what is chosen then.
+    """
+    marks = {True: " selected", False: ""}
+    inner = "".join(
+        f'<option value="{escape(key)}"{marks[key == value]}>{escape(words)}</option>'
+        for key, words in options.items()
+    )
+
+    def heard(event: GenericEventArguments) -> Any:
+        return change(event.args) if event.args in options else None
+
+    with ui.element("label").classes("choice"):
+        ui.element("span").classes("small").props(f'aria-hidden="true" innerHTML="{escape(label)}"')
+        box = ui.html(inner, tag="select", sanitize=False).props(f'aria-label="{escape(label)}"')
+    box.on("change", heard, js_handler="(event) => emit(event.target.value)")
+    return box
+
+
+class _Browser:
+    """Folders and what they hold."""
+
+    def __init__(self, pendant: Pendant, place: ui.element) -> None:
+        self._desk = pendant.desk
+        self._reads_only = pendant.read_only
+        self._folder = self._desk.places.begun
+        with place:
+            ui.label("Choose").classes("title").props("role=heading aria-level=1")
+            roots = {str(path): name for name, path in self._desk.places.roots.items()}
+            select("Folder", roots, str(self._folder), self._go)
+            self._where = ui.label().classes("command")
+            self._list = ui.element("ul").classes("entries")
+            if batches() and not self._reads_only:
+                ui.button("Batch over this folder", on_click=self._batch).props("outline no-caps")
+            if not self._reads_only:
+                _drop()
+        ui.timer(0.0, self._show, once=True)
+
+    async def _go(self, folder: str | Path) -> None:
+        self._folder = Path(folder)
+        await self._show()
+
+    async def _show(self) -> None:
+        places = self._desk.places
+        try:
+            found = await run.io_bound(places.entries, self._folder)
+        except ProprioError as error:
+            ui.notify(str(error), type="negative", timeout=8000)
+            found = []
+        self._where.set_text(str(self._folder))
+        self._list.clear()
+        with self._list:
+            if self._folder not in places.roots.values():
+                self._row("Up", "one folder", partial(self._go, self._folder.parent))
+            for entry in found or []:
+                act = partial(self._go, entry.path) if entry.opens else partial(self._choose, entry)
+                self._row(entry.name, entry.kind, act)
+            if not found:
+                ui.label("Nothing that could be opened.").classes("small")
+
+    def _row(self, name: str, kind: str, act: Callable[[], Any]) -> None:
+        with ui.element("li"):
+            button = ui.button(on_click=act).props("flat no-caps dense align=left")
+            with button:
+                ui.label(name).classes("name")
+                ui.label(kind).classes("small")
+
+    def _choose(self, entry: Entry) -> None:
+        attempt(partial(self._desk.choose, entry.path))
+
+    def _batch(self) -> None:
+        attempt(partial(self._desk.begin_batch, self._folder))
+        ui.run_javascript(SHOWS)
+
+
+def _drop() -> None:
+    """Where a file of this computer can be dropped or chosen."""
+
+    def heard(event: GenericEventArguments) -> None:
+        if event.args:
+            ui.notify(str(event.args), type="negative", timeout=8000)
+
+    with ui.element("label").classes("drop") as zone:
+        ui.label("Drop a recording, or choose a file")
+        ui.label(f"{', '.join(TAKEN[:2])}, .csv, .parquet; kept in {UPLOADS}").classes("small")
+        files = ui.element("input").props(f'type=file multiple accept="{",".join(TAKEN)}"')
+        files.props('aria-label="Recordings to upload"')
+    files.on("change", heard, js_handler=SENDS)
+    zone.on("drop", heard, js_handler=SENDS)
+    zone.on("dragover", js_handler="(event) => event.preventDefault()")
+
+
+class _Chosen:
+    """Recordings on the desk."""
+
+    def __init__(self, pendant: Pendant, place: ui.element) -> None:
+        self._desk = pendant.desk
+        self._rows: dict[str, _Row] = {}
+        with place:
+            ui.label("Recordings").classes("title").props("role=heading aria-level=2")
+            self._none = ui.label("None is chosen yet: choose a bag, a table or an episode.")
+            self._none.classes("small")
+            self._place = ui.element("div")
+        ui.timer(READS_S, self._read, immediate=True)
+
+    def _read(self) -> None:
+        desk = self._desk
+        if desk.jobs.under_way is None:
+            attempt(desk.begin_look)
+        self._none.set_visibility(not desk.chosen)
+        for name, row in list(self._rows.items()):
+            if desk.chosen.get(name) is not row.each or row.is_old:
+                self._rows.pop(name).place.delete()
+        for name, each in desk.chosen.items():
+            if name not in self._rows:
+                with self._place:
+                    self._rows[name] = _Row(desk, name, each)
+            self._rows[name].read()
+
+
+class _Row:
+    """What is in one recording, and in the hand; its boxes keep the focus while it is looked into."""
+
+    def __init__(self, desk: Desk, name: str, each: Chosen) -> None:
+        self.each = each
+        self._role = each.role
+        self._found: Mapping[str, Any] | None = None
+        with ui.element("div").classes("chosen") as self.place:
+            self.place.props(f'role=group aria-label="{escape(name)}"')
+            with ui.element("div").classes("head"):
+                ui.label(name).classes("name")
+                leave = ui.button("Leave out", on_click=partial(desk.leave, name))
+                leave.props(f'flat dense no-caps aria-label="Leave out {escape(name)}"')
+            with ui.element("div").classes("row"):
+                select("In the hand", ROLES, each.role, self._give_role)
+                self._mass = ui.number("Mass [g]", value=each.known_g, min=0.0, max=50000.0)
+                self._mass.on_value_change(lambda event: setattr(each, "known_g", event.value))
+                self._usable = ui.label().classes("small").props("role=status")
+            self._inside = ui.expansion("What is in it", on_value_change=self._draw)
+            self._inside.classes("looked")
+
+    @property
+    def is_old(self) -> bool:
+        """Whether another browser has said something else."""
+        return self._role != self.each.role
+
+    def _give_role(self, role: str) -> None:
+        self._role = role
+        self.each.role = role
+
+    def read(self) -> None:
+        """Show what is new."""
+        found = self.each.found
+        self._mass.set_visibility(self._role == KNOWN)
+        self._inside.set_visibility(bool(found))
+        usable = f"{found['usable_runs']} usable" if found else "is looked into ..."
+        self._usable.set_text(usable)
+        if found is not self._found:
+            self._found = found
+            self._inside.clear()
+            with self._inside:
+                ui.html(results.checked(found), sanitize=False)
+            self._draw()
+
+    def _draw(self) -> None:
+        """Signals, when it is opened first."""
+        drawn = [
+            child for child in self._inside.default_slot.children if isinstance(child, ui.echart)
+        ]
+        if self._inside.value and not drawn:
+            with self._inside:
+                draw(self.each.signals)
+
+
+def draw(signals: Sequence[Mapping[str, Any]]) -> None:
+    """A chart a plot, with a curve a joint."""
+    axis = {"axisLabel": {"color": GREY}, "splitLine": {"lineStyle": {"color": f"{GREY}40"}}}
+    line = {"type": "line", "symbol": "none", "animation": False}
+    for plot in signals:
+        holds = {**line, "step": plot.get("step", False)}
+        series = [{**holds, "name": name, "data": data} for name, data in plot["curves"].items()]
+        chart = ui.echart(
+            {
+                "color": COLOURS,
+                "grid": {"left": 56, "right": 30, "top": 64, "bottom": 26},
+                "title": {"text": plot["title"], "textStyle": {"color": GREY, "fontSize": 12}},
+                "legend": {"top": 30, "type": "scroll", "textStyle": {"color": GREY}},
+                "tooltip": {"trigger": "axis"},
+                "xAxis": {
+                    **axis,
+                    "type": plot.get("across", "value"),
+                    "name": plot.get("unit", "s"),
+                },
+                "yAxis": {**axis, "type": "value", "scale": True},
+                "series": series,
+            }
+        ).classes("curve")
+        chart.props(f'role="img" aria-label="{escape(plot["title"])}"')
+
+
+async def _ask(pendant: Pendant, place: ui.element) -> None:
+    """What is stated besides."""
+    desk = pendant.desk
+    asked = desk.asked
+    found = await run.io_bound(calibrations, desk.places)
+    known = {desk.shown(path): f"{path.parent.name}/{path.name}" for path in found or []}
+    with place:
+        ui.label("What is asked").classes("title").props("role=heading aria-level=2")
+        with ui.element("div").classes("row"):
+            for label, key, options in (
+                ("Quantity", "probe", {probe.name: probe.name for probe in all_probes()}),
+                ("Robot", "robot", _named("open_manipulator_x, or the calibration's", "robots")),
+                ("Calibration", "calibration", {"": "none, or by the recordings above", **known}),
+                ("Driver", "driver", _named("not stated", "drivers")),
+                (
+                    "Unit of effort",
+                    "effort_unit",
+                    {"": "by the driver", **{u: u for u in ("N.m", "A", "mA", "raw")}},
+                ),
+            ):
+                select(label, options, getattr(asked, key), partial(_state, desk, key))
+        facts = ui.input("Facts about the object", value=asked.facts)
+        facts.props(
+            'outlined dense hint="KEY=VALUE, such as payload.shape=sphere payload.com=[0,0,0.01]"'
+        )
+        facts.on_value_change(lambda event: setattr(asked, "facts", event.value or ""))
+        if not pendant.read_only:
+            ui.button("Answer", on_click=partial(_answer, desk)).props("no-caps size=lg")
+
+
+def _answer(desk: Desk) -> None:
+    before = desk.jobs.latest
+    attempt(desk.begin_answer)
+    if desk.jobs.latest is not before:
+        ui.run_javascript(SHOWS)
+
+
+def _named(otherwise: str, kind: str) -> dict[str, str]:
+    return {"": otherwise, **{name: name for name in resource_names(kind)}}
+
+
+def _state(desk: Desk, key: str, value: str) -> None:
+    """What changes how recordings are read has them looked into anew."""
+    setattr(desk.asked, key, value)
+    if key in ("robot", "driver", "effort_unit"):
+        for each in desk.chosen.values():
+            each.found = {}
+
+
+class _Outcome:
+    """The latest job, as every page sees it."""
+
+    def __init__(self, desk: Desk, reads_only: bool) -> None:
+        self._desk = desk
+        self._shown: tuple[Job | None, bool] = (None, False)
+        with ui.element("section").classes("card progress").props('aria-label="Answer"') as card:
+            self._card = card
+            self._title = ui.label().classes("title")
+            self._bar = ui.linear_progress(show_value=False).props(
+                'indeterminate aria-label="Working"'
+            )
+            self._said = ui.html().props("role=status")
+            self._cancel = ui.button("Cancel", on_click=self._end).props("outline no-caps")
+            self._answer = ui.element("div").classes("hand").props('role="status"')
+            self._command = ui.label().classes("command")
+            copies = "() => navigator.clipboard.writeText(event.target.closest('section').querySelector('.command').innerText)"
+            ui.button("Copy the command").props("flat no-caps").on("click", js_handler=copies)
+        ui.timer(READS_S, self._read, immediate=True)
+
+    def _end(self) -> None:
+        job = self._desk.jobs.under_way
+        if job is not None:
+            job.cancel()
+
+    def _read(self) -> None:
+        job = self._desk.jobs.latest
+        runs = self._desk.jobs.under_way is not None
+        self._card.set_visibility(job is not None)
+        if job is None:
+            return
+        doing = "is being cancelled" if job.cancelled else f"{job.elapsed_s:.0f} s"
+        self._title.set_text(f"{job.title}: {doing}" if runs else job.title)
+        said = "".join(f"<p>{escape(words)}</p>" for words in job.said[-LATEST:])
+        self._said.set_content(f'<div class="said">{said}</div>' if runs else "")
+        self._bar.set_visibility(runs)
+        self._cancel.set_visibility(runs)
+        if (job, runs) != self._shown:
+            self._shown = (job, runs)
+            self._command.set_text(job.command)
+            self._answer.clear()
+            if not runs:
+                with self._answer:
+                    self._show(job)
+
+    def _show(self, job: Job) -> None:
+        if job.cancelled:
+            ui.label("Cancelled.").classes("state")
+            return
+        for step in job.steps:
+            if step.answer and not (step.kind == "check" and "error" not in step.answer):
+                ui.html(results.answered(step), sanitize=False)
+                page = address_of(step.report, self._desk.places) if step.report else ""
+                if page:
+                    ui.link("Report", page, new_tab=True).classes("report")

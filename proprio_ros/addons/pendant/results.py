@@ -1,0 +1,158 @@
+"""What commands about recordings answered, as a person reads it; as HTML."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from html import escape
+from pathlib import Path
+from typing import Any
+
+from proprio_ros.addons.pendant.jobs import GOOD, Step
+from proprio_ros.addons.pendant.words import answer_of
+from proprio_ros.identification.reasons import REMEDIES
+from proprio_ros.quantity import shown, spec_for
+from proprio_ros.recordings.datasets import arrow
+
+MOST_ROWS = 500
+
+
+def number_of(estimate: Mapping[str, Any]) -> tuple[str, str]:
+    """The first value and its interval in words; empty where there is none."""
+    values = estimate.get("estimates") or [{}]
+    first = values[0]
+    name = str(first.get("name", ""))
+    flat = {name: first.get("value")}
+    for key in ("std", "ci95", "unit"):
+        flat[f"{name}.{key}"] = first.get(key)
+    return answer_of(flat) if name else ("", "")
+
+
+def verdict(words: str) -> str:
+    """As a badge."""
+    kind = "good" if words == GOOD else "bad"
+    return f'<span class="verdict {kind}">{escape(words.replace("_", " "))}</span>'
+
+
+def reasons(found: Mapping[str, Any]) -> str:
+    """Why, and what to do."""
+    said = found.get("reasons") or []
+    codes = found.get("reason_codes") or []
+    rows = []
+    for number, sentence in enumerate(said):
+        remedy = REMEDIES.get(codes[number] if number < len(codes) else "", "")
+        todo = f'<br><span class="todo">What to do: {escape(remedy)}.</span>' if remedy else ""
+        rows.append(f"<li>{escape(str(sentence))}{todo}</li>")
+    return f'<ul class="reasons">{"".join(rows)}</ul>' if rows else ""
+
+
+def answered(step: Step) -> str:
+    """All that one command said."""
+    found = step.answer
+    if found.get("error"):
+        return f'<p class="state">{escape(str(found["error"]))}</p>'
+    if step.kind == "batch":
+        return _batch(found)
+    if not found.get("verdict"):
+        return f'<p class="state">{escape(str(found.get("message", "")))}</p>'
+    number, interval = number_of(found)
+    lines = [f"<p>{verdict(found['verdict'])}</p>"]
+    if step.kind == "calibrate":
+        can = found.get("weighable") or {}
+        if can:
+            mass = shown("kg", can["mass_kg"], spec=".0f")
+            half = shown("kg", can["half_width95_kg"], spec=".1f")
+            lines.append(f'<p class="state">calibrated: weighs {mass} to &plusmn;{half} (95 %)</p>')
+    elif number:
+        lines.append(
+            f'<p class="number">{escape(number)}</p><p class="interval">{escape(interval)}</p>'
+        )
+    else:
+        why = (found.get("estimates") or [{}])[0].get("reason")
+        lines.append(f'<p class="state">{escape(str(why or "no number"))}</p>')
+    return "".join(lines) + reasons(found)
+
+
+def table(titles: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """Of cells that are HTML."""
+    head = "".join(f'<th scope="col">{escape(title)}</th>' for title in titles)
+    body = "".join("<tr>" + "".join(f"<td>{cell}</td>" for cell in row) + "</tr>" for row in rows)
+    return f'<div class="wide"><table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></div>'
+
+
+def checked(found: Mapping[str, Any]) -> str:
+    """What ``proprio check`` found in one recording."""
+    lines = []
+    if found.get("joints"):
+        gaps = f", {found['gaps']} gaps" if found["gaps"] else ", no gaps"
+        lines.append(
+            f"{found['duration_s']:.1f} s at {found['rate_Hz']:.0f} Hz{gaps}; joints: {', '.join(found['joints'])}"
+        )
+    if found.get("input"):
+        lines.append(f"input: {found['input']} ({found['input_unit'] or 'unit not known'})")
+    if found.get("fitting_drivers"):
+        lines.append(
+            f"looks like the driver {' or '.join(found['fitting_drivers'])}: state it above, none is used before"
+        )
+    motion = found.get("motion")
+    if motion:
+        lines.append(f"a motion of {', '.join(motion['joints'])}, {motion['duration_s']:.1f} s")
+    tells = found.get("tells")
+    if tells:
+        half = shown("kg", tells["mass_half_width_kg"])
+        lines.append(
+            f"beside the same motion with an empty hand it tells a light mass to about +-{half}"
+        )
+    said = "".join(f"<p>{escape(line)}</p>" for line in lines)
+    if found.get("problem"):
+        said += f'<p class="problem">{escape(found["problem"])}</p>'
+    notes = [*found.get("record", ()), *(each["sentence"] for each in found.get("findings", ()))]
+    advice = "".join(f"<li>{escape(words)}</li>" for words in (*notes, *found.get("notes", ())))
+    return (
+        said
+        + _runs(found.get("runs", ()))
+        + (f'<ul class="reasons">{advice}</ul>' if advice else "")
+    )
+
+
+def _runs(runs: Sequence[Mapping[str, Any]]) -> str:
+    rows = []
+    for run in runs:
+        half = run["mass_half_width_kg"]
+        tells = (
+            "usable"
+            if half is None
+            else f"usable; alone &plusmn;{escape(shown('kg', float(f'{half:.2g}'), spec='g'))}"
+        )
+        moved = f"{run['travel']:+.2f} {escape(run['unit'])}"
+        judged = f"not usable: {escape(run['problem'])}" if run["problem"] else tells
+        rows.append(
+            [
+                escape(run["joint"]),
+                f"{1e3 * run['current_A']:+.0f}",
+                f"{run['duration_s']:.2f}",
+                moved,
+                judged,
+            ]
+        )
+    return table(["run of", "mA", "s", "travel", ""], rows) if rows else ""
+
+
+def _batch(found: Mapping[str, Any]) -> str:
+    """Counts, and a row an episode."""
+    counts = ", ".join(
+        f"{count} {escape(name)}" for name, count in found.get("verdicts", {}).items()
+    )
+    head = f'<p class="state">{found.get("episodes", 0)} recordings: {counts}</p>'
+    names = ["episode", "unit", "value", "std", "low", "high", "verdict", "reason_codes"]
+    rows = arrow().parquet.read_table(Path(found["folder"]) / "rows", columns=names).to_pylist()
+    cells = []
+    for row in rows[:MOST_ROWS]:
+        spec = spec_for(row["unit"], row["std"])
+        known = row["value"] is not None
+        value = shown(row["unit"], row["value"], spec=spec) if known else "&ndash;"
+        interval = shown(row["unit"], row["low"], row["high"], spec=spec) if known else "&ndash;"
+        codes = ", ".join(row["reason_codes"] or ())
+        cells.append(
+            [escape(row["episode"]), value, interval, verdict(row["verdict"]), escape(codes)]
+        )
+    return head + table(["recording", "answer", "95 % interval", "verdict", "reasons"], cells)

@@ -1,0 +1,227 @@
+"""Recordings and History in a real browser, without ROS: by keys alone, narrow and wide; and what strangers ask for."""
+
+from __future__ import annotations
+
+import http.client
+import json
+import os
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+from urllib.parse import quote, urlsplit
+
+import pytest
+
+pytest.importorskip("nicegui")
+
+from support.browser import BROWSER
+from support.pendant import Shown, pendant
+from support.tab import Browser, Tab, browser
+
+from proprio_ros.addons.pendant.places import MOST_BYTES
+
+REPOSITORY = Path(__file__).resolve().parents[3]
+BAGS = REPOSITORY / "bags"
+CUBE = "realistic_s00_fixed_heavy_cube_23g_joint3"
+NO_ROS = "import sys\nsys.modules['rclpy'] = None\n"
+TABLE = b"time_s,joint1.pos,joint2.pos\n" + b"".join(
+    b"%.2f,0.%d,0.2\n" % (0.01 * row, row) for row in range(300)
+)
+MOST_TABS = 80
+
+
+@pytest.fixture(scope="module")
+def home(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """With two answers of the nodes, and a folder of recordings."""
+    home = tmp_path_factory.mktemp("home")
+    shutil.copytree(BAGS / CUBE, home / "work" / CUBE)
+    for stamp, mass in (("20260102_030405_000", 0.0499), ("20260103_030405_000", 0.0612)):
+        folder = home / ".ros" / "proprio_ros" / f"{stamp}_payload"
+        folder.mkdir(parents=True)
+        value = {"name": "payload_mass", "value": mass, "std": 0.001, "unit": "kg"}
+        interval = [mass - 0.002, mass + 0.002]
+        answer = {"verdict": "accepted", "estimates": [{**value, "ci95": interval}]}
+        (folder / "estimate.json").write_text(json.dumps(answer))
+    return home
+
+
+@pytest.fixture(scope="module")
+def shown(home: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Shown]:
+    """A pendant where there is no ROS, started in the folder of recordings."""
+    blocks = tmp_path_factory.mktemp("blocks")
+    (blocks / "sitecustomize.py").write_text(NO_ROS)
+    path = os.pathsep.join([str(blocks), str(REPOSITORY), os.environ.get("PYTHONPATH", "")])
+    began = Path.cwd()
+    os.chdir(home / "work")
+    try:
+        with pendant(blocks, HOME=str(home), PYTHONPATH=path) as shown:
+            yield shown
+    finally:
+        os.chdir(began)
+
+
+@pytest.fixture(scope="module")
+def window(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
+    if BROWSER is None:
+        pytest.skip("needs Chromium")
+    with browser(tmp_path_factory.mktemp("window")) as window:
+        yield window
+
+
+def focus(tab: Tab, words: str) -> None:
+    """By the Tab key alone, to what begins with these words or is called so."""
+    names = "[document.activeElement.getAttribute('aria-label'), document.activeElement.innerText]"
+    for _ in range(MOST_TABS):
+        tab.press("Tab")
+        if any(str(name or "").strip().startswith(words) for name in tab.does(names)):
+            return
+    raise AssertionError(f"no key leads to {words!r}: {tab.text[-1500:]}")
+
+
+def enter(tab: Tab, words: str) -> None:
+    focus(tab, words)
+    tab.press("Enter", "Enter", "\r")
+
+
+def wide_and_narrow(tab: Tab, folder: Path, name: str) -> None:
+    """Nothing is wider than the window; in both schemes."""
+    for width in (400, 1400):
+        for dark in (False, True):
+            tab.look(width, 1000, dark)
+            tab.until("document.documentElement.scrollWidth <= innerWidth")
+            tab.picture(folder / f"{name}_{width}_{'dark' if dark else 'bright'}.png")
+
+
+def test_keys_alone_lead_to_an_answer(
+    shown: Shown, window: Browser, home: Path, tmp_path: Path
+) -> None:
+    tab = window.tab()
+    tab.open(shown.address)
+    tab.shows("No arm can be seen")
+    enter(tab, "Recordings")
+    tab.shows(CUBE)
+    enter(tab, CUBE)
+    tab.shows("bag_mcap")
+    enter(tab, "bag_mcap")
+    tab.shows("1 usable")
+    enter(tab, "What is in it")
+    tab.until("document.querySelectorAll('.looked canvas').length == 3")
+    tab.shows("usable; alone")
+    focus(tab, "In the hand")
+    for _ in range(2):
+        tab.press("ArrowDown")
+    tab.until("document.querySelector('[aria-label=\"Mass [g]\"]').offsetHeight > 0")
+    tab.press("Home")
+    tab.until("document.querySelector('[aria-label=\"In the hand\"]').value == 'asked'")
+    wide_and_narrow(tab, tmp_path, "looked")
+    enter(tab, "Answer")
+    tab.shows("Report")
+    tab.shows("95 % interval")
+    tab.shows("What to do: ")
+    tab.shows(f"proprio replay {CUBE}/bag_mcap --probe payload")
+    wide_and_narrow(tab, tmp_path, "answered")
+    page = tab.does("document.querySelector('.hand a').getAttribute('href')")
+    status, text = shown.page(page)
+    assert status == 200 and "<svg" in text
+    assert not tab.said
+    assert {
+        urlsplit(url).netloc for url in tab.requests if not url.startswith(("data:", "blob:"))
+    } == {urlsplit(shown.base).netloc}
+    tab.close()
+
+
+def test_history_compares(shown: Shown, window: Browser, tmp_path: Path) -> None:
+    tab = window.tab()
+    tab.open(shown.address)
+    enter(tab, "History")
+    tab.shows("2026-01-02 03:04")
+    tab.shows("49.9 g")
+    focus(tab, "One")
+    tab.press("End")
+    focus(tab, "The other")
+    tab.press("End")
+    tab.shows("0.0 g apart; their intervals overlap")
+    tab.does("document.activeElement.focus()")
+    tab.press("ArrowUp")
+    tab.shows("11.3 g apart; their intervals do not overlap")
+    wide_and_narrow(tab, tmp_path, "history")
+    assert not tab.said
+    tab.close()
+
+
+def test_names_for_a_screen_reader(shown: Shown, window: Browser) -> None:
+    tab = window.tab()
+    tab.open(shown.address)
+    for page in ("Recordings", "History"):
+        tab.click(page)
+        tab.until("document.querySelectorAll('main select').length > 0")
+        nameless = (
+            "[...document.querySelectorAll('main button, main a, main select, main input')].filter((it) => "
+            "!(it.getAttribute('aria-label') || it.innerText.trim())).map((it) => it.outerHTML)"
+        )
+        assert tab.does(nameless) == [], page
+    tab.close()
+
+
+def ask(
+    shown: Shown,
+    method: str,
+    path: str,
+    body: bytes = b"",
+    **headers: str,
+) -> tuple[int, str]:
+    """A request as a page of the pendant makes it, with other headers where they are given."""
+    place = urlsplit(shown.base)
+    door = http.client.HTTPConnection(place.hostname or "", place.port)
+    usual = {"Cookie": shown.cookie, "Origin": shown.base, "Content-Length": str(len(body))}
+    door.request(method, path, body, {**usual, **headers})
+    answer = door.getresponse()
+    text = answer.read().decode()
+    door.close()
+    return answer.status, text
+
+
+def test_a_file_is_taken_once(shown: Shown, home: Path) -> None:
+    path = f"/upload?name={quote('log 1.csv')}"
+    assert ask(shown, "POST", path, TABLE) == (200, "")
+    assert (home / ".ros/proprio_ros/uploads/log 1.csv").read_bytes() == TABLE
+    status, text = ask(shown, "POST", path, TABLE)
+    assert status == 403 and "is there already" in text
+
+
+def test_strangers_and_odd_files_are_refused(shown: Shown, home: Path) -> None:
+    before = sorted(home.rglob("*"))
+    named = "/upload?name=b.csv"
+    for path, headers in (
+        (named, {"Cookie": "proprio_pendant=wrong"}),
+        (named, {"Origin": "http://example.org"}),
+        (named, {"Content-Length": str(MOST_BYTES + 1)}),
+        (f"/upload?name={quote('../b.csv', safe='')}", {}),
+        (f"/upload?name={quote('/tmp/b.csv', safe='')}", {}),
+        ("/upload?name=b.exe", {}),
+        ("/upload", {}),
+    ):
+        status, text = ask(shown, "POST", path, TABLE, **headers)
+        assert status == 403 and len(text.splitlines()) == 1, (path, headers, text)
+    assert sorted(home.rglob("*")) == before
+
+
+def test_only_pages_of_answers_are_shown(shown: Shown, home: Path) -> None:
+    (home / "work" / "other.html").write_text("<script>alert(1)</script>")
+    (home / "secret.html").write_text("secret")
+    (home / "work" / "link.html").symlink_to(home / "secret.html")
+    for path in (
+        "0/other.html",
+        "0/link.html",
+        "0/..%2fsecret.html",
+        "0/%2e%2e/secret.html",
+        "0//etc/passwd",
+        "0/%2fetc%2fpasswd",
+        f"0/{CUBE}/bag_mcap/metadata.yaml",
+        "0/a%00b",
+        "9/other.html",
+        "-1/other.html",
+    ):
+        status, text = ask(shown, "GET", f"/kept/{path}")
+        assert status in (403, 404), (path, text)
+        assert "secret\n" not in text and "root:" not in text and "alert" not in text
