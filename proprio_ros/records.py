@@ -41,6 +41,14 @@ INSTANT_S = 1e-6
 """Two stamps closer than this are the same instant: cycles are milliseconds apart, and stamps carry rounding [s]."""
 
 
+def _is_frozen(values: Any, dtype: type) -> bool:
+    """Whether it is an array as `_frozen` makes them, which nobody can change; of an hour a copy is 17 MB."""
+    if not isinstance(values, np.ndarray) or values.dtype != dtype:
+        return False
+    flags = values.flags
+    return bool(flags.owndata and flags.c_contiguous and not flags.writeable)
+
+
 def _frozen(
     values: Any,
     dtype: type,
@@ -50,7 +58,7 @@ def _frozen(
     """Copy to a read-only array of the given shape (-1: any length)."""
     array: NDArray[Any]
     try:
-        array = np.array(values, dtype=dtype, order="C")
+        array = values if _is_frozen(values, dtype) else np.array(values, dtype=dtype, order="C")
     except (TypeError, ValueError) as error:
         raise RecordingError(
             f"{what}: expected numbers, got {type(values).__name__} ({error})"

@@ -129,6 +129,7 @@ def _filled(
             if length:
                 values[quantity][row : row + len(data), columns] = _marked(data)
         row += len(part.bag_ns)
+        part.values.clear()  # of an hour they are as much again
     return values
 
 

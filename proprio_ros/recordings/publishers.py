@@ -52,22 +52,22 @@ def of_one_publisher(noted: Noted, columns: JointColumns) -> JointColumns:
     Raises:
         RecordingError: Two publishers move a joint, and differ.
     """
-    values = {name: table.copy() for name, table in columns.values.items()}
+    position = columns.values["position"].copy()
+    left_out = np.zeros(position.shape, dtype=bool)
     notes = list(columns.notes)
-    position = values["position"]
 
     def leave_out(found: BoolArray, what: str) -> None:
         """Leave out numbers of joints, shape (M, J)."""
         if not found.any():
             return
-        for table in values.values():
-            table[found] = np.nan
+        position[found] = np.nan
+        left_out[found] = True
         messages = int(found.any(axis=1).sum())
         notes.append(
             f"{noted.topic}: {messages} of {len(found)} messages are of a second publisher: {what}; they were left out"
         )
 
-    leave_out(_without_effort(values), "they carry no effort, where the others do")
+    leave_out(_without_effort(columns.values), "they carry no effort, where the others do")
     leave_out(_at_one_place(position), "positions jump to one and the same place and back")
     leave_out(_twice(columns, position), "they repeat another one, stamp and all")
     leave_out(_repeated(position), "they are copies of what was published before")
@@ -80,7 +80,7 @@ def of_one_publisher(noted: Noted, columns: JointColumns) -> JointColumns:
         columns.bag_ns[kept],
         columns.stamp_ns[kept],
         columns.names,
-        {name: table[kept] for name, table in values.items()},
+        {name: np.where(left_out, np.nan, table)[kept] for name, table in columns.values.items()},
         notes,
     )
 

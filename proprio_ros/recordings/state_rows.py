@@ -58,6 +58,8 @@ class StateRows:
 
     def kept(self, rows: BoolArray) -> StateRows:
         """Some of the rows."""
+        if rows.all():
+            return self
         values = {quantity: table[rows] for quantity, table in self.values.items()}
         return replace(self, times_ns=self.times_ns[rows], values=values)
 
@@ -97,6 +99,8 @@ def in_order(rows: StateRows) -> StateRows:
     never = [name for name in rows.names if name not in names]
     if never:
         rows.noted.note(f"{', '.join(never)} never has a finite position and was left out.")
+    if usable.all() and (np.diff(order) == 1).all():
+        return rows
     values = {quantity: table[np.ix_(order, usable)] for quantity, table in rows.values.items()}
     return replace(
         rows,
