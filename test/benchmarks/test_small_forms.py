@@ -40,6 +40,7 @@ SMALL: dict[str, tuple[str, ...]] = {
     "drift": ("--robots", "1", "--masses", "0.05", "--reference", "none", "--jobs", "1"),
     "early_end": ("--robots", "1", "--masses", "0.05", "--at-most", "20", "--jobs", "1"),
     "free_swings": ("--arms", "1", "--first", "10"),
+    "longer": ("--arms", "1", "--minutes", "0.3", "0.5", "--times"),
     "mistakes": (
         "--arms",
         "pushes",

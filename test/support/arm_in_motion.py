@@ -5,7 +5,7 @@ The arm that moves differs from the one in the robot file: links, friction, roto
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -113,6 +113,7 @@ FOUR = Build(
 """A small arm with servos that moves slowly, like an OpenManipulator-X: three parallel axes and much friction."""
 RATE_HZ = 100.0
 STEP_S = 0.001
+STEPS_TOGETHER = 10_000
 
 
 def urdf(
@@ -284,6 +285,12 @@ class Way:
             -bends.sum(-1),
         )
 
+    def steps(self, count: int) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+        """The same at each of so many steps, one by one: those of an hour together would not fit into memory."""
+        for first in range(0, count, STEPS_TOGETHER):
+            numbers = np.arange(first, min(first + STEPS_TOGETHER, count))
+            yield from zip(*self.at(numbers * STEP_S), strict=True)
+
 
 @dataclass
 class Twin:
@@ -404,11 +411,10 @@ class Twin:
         none = np.zeros(count)
         own = differs or Differs(none + 1.0, warm, none, none, none)
         viscous = self.viscous * (1.0 if differs is None else own.friction)
-        wanted = way.of(own).at(np.arange(steps) * STEP_S)
+        way = way.of(own)
         qpos = data.qpos
         qvel = data.qvel
-        qpos[:] = wanted[0][0]
-        qvel[:] = wanted[1][0]
+        qpos[:], qvel[:], _ = next(way.steps(1))
         per_A = np.array(build.constants) * self.torque
         queue = [np.zeros(count)] * (self.delay + 1)
         times = []
@@ -418,7 +424,7 @@ class Twin:
         every = round(1.0 / RATE_HZ / STEP_S)
         full = np.zeros((count, count))
         mujoco.mj_forward(model, data)
-        for step, (q, qd, qdd) in enumerate(zip(*wanted, strict=True)):
+        for step, (q, qd, qdd) in enumerate(way.steps(steps)):
             inertia_matrix(model, data, full)
             measured = qpos + 1e-4 * rng.standard_normal(count)
             pushed = qdd + 225.0 * (q - measured) + 30.0 * (qd - qvel)
