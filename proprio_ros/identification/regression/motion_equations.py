@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from proprio_ros.calibration_files.motions import ARM_TERMS, FRICTION_TERMS, TERMS
 from proprio_ros.errors import RobotError, TooLittleMotion
 from proprio_ros.identification.regression.arm_terms import ArmTerms
+from proprio_ros.identification.regression.long_motions import counted_share, kept_windows
 from proprio_ros.identification.regression.rigid_body import pseudo_inertia
 from proprio_ros.identification.regression.weak_form import (
     Windows,
@@ -63,6 +64,27 @@ class Samples:
     torque: FloatArray  # of the motors [N m], shape (T, n)
     # of what carries the arm and moves, too: positions and velocities in SI units, shape (2, T, c); None: nothing does
     carriers: FloatArray | None = None
+
+    def only(self, kept: NDArray[np.bool_]) -> Samples:
+        """Some of its windows, shape (W,), and of its samples those that lie in one."""
+        if kept.all():
+            return self
+        windows, samples = self.windows.only(kept)
+        carriers = self.carriers
+        return Samples(
+            windows,
+            self.times_s[samples],
+            self.period_s,
+            self.position[samples],
+            self.velocity[samples],
+            self.torque[samples],
+            None if carriers is None else carriers[:, samples],
+        )
+
+    @property
+    def slow(self) -> NDArray[np.bool_]:
+        """Whether a joint stands for most of a window, shape (W, n)."""
+        return self.windows.share(np.abs(self.velocity) < SLOW_RAD_S) > 0.5
 
 
 @dataclass(frozen=True)
@@ -151,8 +173,7 @@ class Arm:
             by_zeros: Whether the rows know how they follow the joints' zeros, and the pace of the clock.
         """
         windows = samples.windows
-        slow = windows.share(np.abs(samples.velocity) < SLOW_RAD_S) > 0.5
-        window, joint = np.nonzero(counts & ~slow)  # (E,)
+        window, joint = np.nonzero(counts & ~samples.slow)  # (E,)
         regressor = self._torques(samples, window, joint)
         direction = windows.mean(np.tanh(samples.velocity / SLOW_RAD_S))[window, joint]
         zero = np.zeros((len(joint), 0, PARAMETERS * (1 + self.count)))
@@ -213,14 +234,14 @@ class Arm:
         regressor: FloatArray,
     ) -> FloatArray:
         """By how much the columns change per radian of each joint's zero, as difference quotients, shape (E, n, 10 + 10 n)."""
-        slopes = []
+        slopes = np.empty((len(joint), self.count, PARAMETERS * (1 + self.count)))
         for turned, shift in enumerate(ZERO_STEP_RAD * np.eye(self.count)):
             # a joint turns the bodies behind it, which have larger numbers
             moved = replace(samples, position=samples.position + shift)
             rise = self._torques(moved, window, joint, turned)
             rise[:, turned:] -= regressor[:, turned:]
-            slopes.append(self._payload_and_bodies(rise / ZERO_STEP_RAD))
-        return np.stack(slopes, axis=1)
+            slopes[:, turned] = self._payload_and_bodies(rise / ZERO_STEP_RAD)
+        return slopes
 
     def _design(
         self,
@@ -302,7 +323,8 @@ def _of_motion(
         current[:, before:] * constants,
         carriers,
     )
-    return arm.rows(samples, counts, by_zeros=by_zeros)
+    kept = kept_windows(counts & ~samples.slow, stretches_at(times_s[windows.starts]))
+    return arm.rows(samples.only(kept), counts[kept], by_zeros=by_zeros)
 
 
 def _made_once(
@@ -328,10 +350,20 @@ def _made_once(
     )
     of_motion = (motion.joints, motion.moved, motion.times_s, motion.position, motion.current_A)
     of_carriers = [(name, motion.beside[name]) for name in arm.carriers]
-    key = hashlib.sha256(pickle.dumps((by_zeros, of_arm, of_motion, of_carriers))).digest()
+    key = _digest((by_zeros, of_arm, of_motion, of_carriers))
     if key not in made:
         made[key] = _of_motion(arm, motion, constants, by_zeros)
     return made[key]
+
+
+def _digest(numbers: object) -> bytes:
+    """Of numbers that need not be written down once more to be compared."""
+    arrays: list[pickle.PickleBuffer] = []
+    words = pickle.dumps(numbers, protocol=5, buffer_callback=arrays.append)
+    digest = hashlib.sha256(words)
+    for array in arrays:
+        digest.update(array.raw())
+    return digest.digest()
 
 
 def own_terms(count: int) -> int:
@@ -379,6 +411,8 @@ class Rows:
 
     def only(self, kept: NDArray[np.bool_]) -> Rows:
         """Some of them, by a truth value for each, shape (E,)."""
+        if kept.all():
+            return self
         return Rows(*(getattr(self, field.name)[kept] for field in fields(self)))
 
     def with_mass_at(self, centre_m: FloatArray) -> Rows:
@@ -400,9 +434,14 @@ class Rows:
     @property
     def stretch(self) -> NDArray[np.int64]:
         """Number of the stretch that the window's middle lies in, shape (E,)."""
-        middle_s = self.start_s + 0.5 * WINDOW_S
-        stretches: NDArray[np.int64] = (middle_s / STRETCH_S).astype(np.int64)
-        return stretches
+        return stretches_at(self.start_s)
+
+
+def stretches_at(start_s: FloatArray) -> NDArray[np.int64]:
+    """Numbers of the stretches in which windows have their middles that start at these times [s]."""
+    middle_s = start_s + 0.5 * WINDOW_S
+    stretches: NDArray[np.int64] = (middle_s / STRETCH_S).astype(np.int64)
+    return stretches
 
 
 def weighable(parts: Sequence[Rows]) -> list[Rows]:
@@ -505,6 +544,7 @@ class Problem:
     inertial: FloatArray
     torque_rate: FloatArray  # see `Rows`
     start_s: FloatArray  # when each equation's window begins in its motion [s], shape (E,)
+    counted: FloatArray  # as what share of itself each counts, see `long_motions`, shape (E,)
     loaded: int  # so many motions, the first ones, hold the payload
     count: int  # of joints, n
 
@@ -531,9 +571,9 @@ class Problem:
             [len(part.joint) for part in parts],
         )
         stretch = rows.stretch + RUNS_OF_ITS_OWN * motion
-        zero = rows.zero.copy()
+        zero = rows.zero  # of several together it is a copy
         zero[motion >= loaded, :, :PARAMETERS] = 0.0
-        inertial = rows.inertial.copy()
+        inertial = rows.inertial
         inertial[motion >= loaded, :PARAMETERS] = 0.0
         return cls(
             matrix=np.vstack(matrix),
@@ -547,12 +587,15 @@ class Problem:
             inertial=inertial,
             torque_rate=rows.torque_rate,
             start_s=rows.start_s,
+            counted=counted_share(motion, rows.joint, stretch),
             loaded=loaded,
             count=count,
         )
 
     def only(self, kept: NDArray[np.bool_]) -> Problem:
         """Some of its equations."""
+        if kept.all():
+            return self
         arrays = {
             field.name: getattr(self, field.name)[kept]
             for field in fields(self)

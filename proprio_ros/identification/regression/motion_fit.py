@@ -712,7 +712,7 @@ def _weight_by_joint(
 ) -> FloatArray:
     """How much of what the motions tell about a mass each joint tells that leaves so much over, shape (n,), sum 1."""
     weight = window_weights(residual, correlation)[problem.joint]
-    squares = np.square(weight * problem.by_mass)
+    squares = problem.counted * np.square(weight * problem.by_mass)
     by_joint = np.bincount(
         problem.joint,
         squares,

@@ -300,7 +300,7 @@ def _moved(
     pulls = scores(
         opened.scaled,
         residual * opened.weight,
-        problem.stretch,
+        problem,
     )
     return replace(
         opened,
@@ -415,7 +415,7 @@ class _Reweighted:
             values=now.values,
             covariance=now.covariance,
             information=now.information,
-            deviations=scores(now.scaled, left_over, self.problem.stretch) @ now.covariance,
+            deviations=scores(now.scaled, left_over, self.problem) @ now.covariance,
             residual=torque - self.matrix @ now.values,
             rms=self.rms,
             correlation=self.correlation,
@@ -426,7 +426,8 @@ class _Reweighted:
         )
 
     def _solved(self) -> _Weighted:
-        weight = window_weights(self.rms, self.correlation)[self.problem.joint]
+        of_joint = window_weights(self.rms, self.correlation)
+        weight = of_joint[self.problem.joint] * np.sqrt(self.problem.counted)
         scaled = self.matrix * weight[:, None]
         information = scaled.T @ scaled
         side = scaled.T @ (self.problem.torque * weight)
@@ -521,22 +522,33 @@ def correlated_windows(
 def scores(
     scaled: FloatArray,
     left_over: FloatArray,
-    stretch: NDArray[np.int64],
+    problem: Problem,
 ) -> FloatArray:
     """What each stretch pulls the solution by, but for its covariance.
+
+    What a stretch of a long recording counts less by is taken back once: together they scatter as if each counted in full.
 
     Args:
         scaled: Equations times their weights, shape (E, U).
         left_over: Residuals times their weights, shape (E,).
-        stretch: Number of each equation's stretch, shape (E,).
+        problem: That has these equations.
 
     Returns: Shape (stretches, U).
     """
-    labels = np.unique(stretch)
-    count = len(labels)
-    pulls = []
-    for label in labels:
-        mine = stretch == label
-        pulls.append(scaled[mine].T @ left_over[mine])
+    each = left_over / np.sqrt(problem.counted)
+    count = len(np.unique(problem.stretch))
+    pulls = [scaled[rows].T @ each[rows] for rows in rows_of_stretches(problem.stretch)]
     result: FloatArray = np.sqrt(count / max(count - 1, 1)) * np.array(pulls)
     return result
+
+
+def rows_of_stretches(stretch: NDArray[np.int64]) -> list[slice | NDArray[np.int64]]:
+    """Which equations are of each stretch, in the order of their numbers.
+
+    ``stretch``: number of each equation's, shape (E,).
+    """
+    if (np.diff(stretch) >= 0).all():
+        _, first = np.unique(stretch, return_index=True)
+        ends = [*first[1:], len(stretch)]
+        return [slice(one, end) for one, end in zip(first, ends, strict=True)]
+    return [np.flatnonzero(stretch == label) for label in np.unique(stretch)]

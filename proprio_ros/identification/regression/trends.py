@@ -13,7 +13,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from proprio_ros.identification.regression.motion_equations import (
     BANDWIDTH_HZ,
@@ -140,19 +139,17 @@ def trend_of(
         number: Of the motion.
     """
     mine = problem.motion == number
-    joint = problem.joint[mine]
-    start_s = problem.start_s[mine]
-    along = _along(start_s)
+    part = problem.only(mine)
+    along = _along(part.start_s)
     residual = solution.residual[mine]
-    explained = problem.torque[mine] - residual
+    explained = part.torque - residual
     weight = solution.weight[mine]
-    own = np.eye(problem.count)[joint]
-    friction = own * (problem.direction[mine] * along)[:, None]
+    own = np.eye(part.count)[part.joint]
+    friction = own * (part.direction * along)[:, None]
     columns = np.column_stack([friction, explained * along]) * weight[:, None]
-    stretch = problem.stretch[mine]
-    found = _explained(columns, residual * weight, stretch)
-    payload = problem.matrix[mine, :FIRST_MOMENTS] * weight[:, None]
-    step = _step(payload, residual * weight, stretch, start_s)
+    found = _explained(columns, residual * weight, part)
+    payload = part.matrix[:, :FIRST_MOMENTS] * weight[:, None]
+    step = _step(payload, residual * weight, part)
     return Trend(
         joints=tuple(joints),
         friction_N_m=found.values[:-1],
@@ -173,13 +170,11 @@ class _Explained:
     gain: float  # share of the squares that they explain
 
 
-def _explained(
-    columns: FloatArray, left_over: FloatArray, stretch: NDArray[np.int64]
-) -> _Explained:
+def _explained(columns: FloatArray, left_over: FloatArray, problem: Problem) -> _Explained:
     inverse = np.linalg.pinv(columns.T @ columns)
     values = inverse @ (columns.T @ left_over)
     rest = left_over - columns @ values
-    pulls = scores(columns, rest, stretch)
+    pulls = scores(columns, rest, problem)
     sandwich = inverse @ pulls.T @ pulls @ inverse
     # of a joint without efforts both are nothing but for rounding
     variance = np.maximum(
@@ -190,24 +185,25 @@ def _explained(
     return _Explained(values, np.sqrt(variance), gain)
 
 
-def _step(
-    payload: FloatArray, left_over: FloatArray, stretch: NDArray[np.int64], start_s: FloatArray
-) -> Step | None:
+def _step(payload: FloatArray, left_over: FloatArray, problem: Problem) -> Step | None:
     """The change of a payload that explains most of what is left over, where it is clear.
 
     Args:
         payload: Weighted rows per unit of its first parameters, shape (E, `FIRST_MOMENTS`).
         left_over: Weighted residual, shape (E,).
-        stretch: Of each row, shape (E,).
-        start_s: When each row's window begins [s], shape (E,).
+        problem: That has these rows.
     """
+    start_s = problem.start_s
     first_s = float(start_s.min())
+    times_s = np.arange(first_s + STEP_EVERY_S, start_s.max(), STEP_EVERY_S)
+    # between two of them may be nothing that was kept
+    _, apart = np.unique(np.searchsorted(np.sort(start_s), times_s), return_index=True)
     best: Step | None = None
-    for time_s in np.arange(first_s + STEP_EVERY_S, start_s.max(), STEP_EVERY_S):
+    for time_s in times_s[apart]:
         after = (start_s >= time_s).astype(np.float64)
         # beside the payload of all of it, which the fit has found with both
         columns = np.hstack([payload, payload * after[:, None]])
-        found = _explained(columns, left_over, stretch)
+        found = _explained(columns, left_over, problem)
         change_kg = float(found.values[FIRST_MOMENTS])
         is_clear = abs(change_kg) > STEP_SIGMAS * found.std[FIRST_MOMENTS]
         if is_clear and (best is None or found.gain > best.gain):

@@ -17,7 +17,7 @@ parameters of links and loads, Atkeson, An & Hollerbach 1986, International Jour
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -36,6 +36,8 @@ from proprio_ros.robot.regressor import (
     kinematics,
     momentum_along,
 )
+
+TOGETHER = 64  # Windows whose samples are looked at together.
 
 
 @dataclass(frozen=True)
@@ -65,6 +67,28 @@ class Windows:
             weight / weight.sum(),
             slope / weight.sum(),
         )
+
+    def only(self, kept: NDArray[np.bool_]) -> tuple[Windows, NDArray[np.bool_]]:
+        """Some of them, shape (W,), over the samples that lie in one alone; and which these are, shape (T,)."""
+        starts = self.starts[kept]
+        used = np.zeros(self.samples, dtype=bool)
+        used[starts[:, None] + np.arange(len(self.weight))] = True
+        place = np.cumsum(used) - 1
+        return replace(self, samples=int(used.sum()), starts=place[starts]), used
+
+    @cached_property
+    def parts(self) -> list[Part]:
+        """All of them, few at a time: what is made of their samples then stays where a processor is quick to find it."""
+        width = len(self.weight)
+        parts = []
+        for first in range(0, len(self.starts), TOGETHER):
+            of_windows = slice(first, first + TOGETHER)
+            starts = self.starts[of_windows]
+            of_samples = slice(int(starts[0]), int(starts[-1]) + width)
+            count = of_samples.stop - of_samples.start
+            windows = Windows(count, starts - starts[0], self.weight, self.slope)
+            parts.append(Part(of_windows, of_samples, windows))
+        return parts
 
     def mean(self, values: FloatArray) -> FloatArray:
         """Weighted mean of a signal, shape (T, ...), over each window, shape (W, ...)."""
@@ -103,6 +127,15 @@ class Windows:
         return result
 
 
+@dataclass(frozen=True)
+class Part:
+    """Some windows that follow each other."""
+
+    of_windows: slice  # which they are
+    of_samples: slice  # over which they lie
+    windows: Windows  # the same over these samples alone
+
+
 def torque_regressor(
     model: ReducedModel,
     position: FloatArray,
@@ -123,6 +156,28 @@ def torque_regressor(
 
     Returns: Shape (W, n, n, 10): window, joint, body, parameter [N m per unit].
     """
+    result = np.zeros((len(windows.starts), *2 * position.shape[1:], PARAMETERS))
+    for part in windows.parts:
+        result[part.of_windows] = _of_part(
+            model,
+            position[part.of_samples],
+            velocity[part.of_samples],
+            part.windows,
+            period_s,
+            since,
+        )
+    return result
+
+
+def _of_part(
+    model: ReducedModel,
+    position: FloatArray,
+    velocity: FloatArray,
+    windows: Windows,
+    period_s: float,
+    since: int,
+) -> FloatArray:
+    """The same of few enough windows, see `torque_regressor`."""
     motion = kinematics(model, position, velocity)
     result = np.zeros((len(windows.starts), *2 * position.shape[1:], PARAMETERS))
     axes = motion.axis
@@ -226,7 +281,9 @@ def across_gaps(
         long = np.diff(known_s) > LONGEST_GAP_S
         long[0] = motion.times_s[0] < known_s[1] - LONGEST_GAP_S
         long[-1] = -motion.times_s[-1] < -known_s[-2] - LONGEST_GAP_S
-        for gap in np.flatnonzero(long):
-            begins_before_end = first < known_s[gap + 1]
-            crossed[:, number] |= begins_before_end & (last > known_s[gap])
+        gap = np.flatnonzero(long)
+        # gaps that begin before a window's end, less those that are over before it begins
+        begun = np.searchsorted(known_s[gap], last, side="left")
+        over = np.searchsorted(known_s[gap + 1], first, side="right")
+        crossed[:, number] = begun > over
     return crossed
