@@ -406,6 +406,8 @@ class Rows:
     @classmethod
     def together(cls, parts: Sequence[Rows]) -> Rows:
         """Of several motions or windows, one after the other."""
+        if len(parts) == 1:
+            return parts[0]
         names = [field.name for field in fields(cls)]
         return cls(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
 
@@ -571,10 +573,13 @@ class Problem:
             [len(part.joint) for part in parts],
         )
         stretch = rows.stretch + RUNS_OF_ITS_OWN * motion
-        zero = rows.zero  # of several together it is a copy
-        zero[motion >= loaded, :, :PARAMETERS] = 0.0
+        zero = rows.zero
         inertial = rows.inertial
-        inertial[motion >= loaded, :PARAMETERS] = 0.0
+        if loaded < len(parts):
+            zero = zero.copy()
+            inertial = inertial.copy()
+            zero[motion >= loaded, :, :PARAMETERS] = 0.0
+            inertial[motion >= loaded, :PARAMETERS] = 0.0
         return cls(
             matrix=np.vstack(matrix),
             torque=rows.torque,
