@@ -27,6 +27,8 @@ CUT_NS = 200_000_000
 """What is left between two parts; no window of a motion spans a gap so long."""
 # before and behind an overlap: where it begins and ends is known to a few messages
 MARGIN_NS = 60_000_000
+ROUNDED_STEPS = 2.5
+"""The first of rounded times is no further from the second than so many of the usual steps; what a clock is set by is."""
 YEAR_NS = 31_557_600 * 10**9
 EPOCH_NS = 10**15  # a clock of today is past that, twelve days; one of a simulation is not
 FEWEST = 30
@@ -375,12 +377,20 @@ def _unset(columns: JointColumns) -> Found:
             side="right",
         )
     )
-    if times[0] < EPOCH_NS and 3 <= alike < len(times):
+    if times[0] < EPOCH_NS and 3 <= alike < len(times) and not _come_alike(times, alike):
         until = max(until, alike)
     if not until:
         return ()
     note = f"{until} of {len(times)} messages have times of before the clock was set; they were left out"
     return [(Unset(int(times[until])), note)]
+
+
+def _come_alike(times: TimeArray, first: int) -> bool:
+    """Whether later messages have one time in groups as large as the first, at even steps: those times are rounded."""
+    changes = np.flatnonzero(np.diff(times)) + 1
+    groups = np.diff(np.append(changes, len(times)))
+    steps = np.diff(times[np.append(0, changes)])
+    return first <= groups.max() and steps[0] <= ROUNDED_STEPS * np.median(steps)
 
 
 def _unstamped(columns: JointColumns) -> Found:

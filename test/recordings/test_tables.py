@@ -805,3 +805,22 @@ def test_tables_whose_headers_say_different_units_are_weighed_together(tmp_path:
         )
         masses.append(replay([tmp_path / "loaded_Nm.csv"], asked).values[0].value)
     assert masses[0] == pytest.approx(masses[1], rel=1e-4)
+
+
+def test_rounded_times_from_the_first_row_on_are_kept(tmp_path: Path) -> None:
+    """The first ones are 0 and are as many as the others are alike; they were taken for times of before a clock was set."""
+    recorded = elbow(400)
+    since_s = 1e-9 * (recorded.times_ns - recorded.times_ns[0])
+    headers = ["t [s]", *(f"q_{joint} [rad]" for joint in JOINTS)]
+    table = written(
+        tmp_path / "log.csv",
+        headers,
+        [[f"{time_s:.1f}" for time_s in since_s], *recorded.position.T],
+    )
+    robot = read_request(Options(robot="open_manipulator_x")).reading
+    with open_recording(table) as source:
+        found = source.recording(replace(robot.options, states_only=True))
+    assert len(found.joints.times_ns) == len(since_s)
+    kept_s = 1e-9 * (found.joints.times_ns - found.joints.times_ns[0])
+    np.testing.assert_allclose(kept_s, since_s, atol=0.05)
+    assert not any("clock was set" in note for note in found.notes)
