@@ -11,7 +11,7 @@ from proprio_ros.errors import RecordingError, TooLittleMotion
 from proprio_ros.recordings.repeats import repeated
 from proprio_ros.recordings.sign_bits import hint_of
 from proprio_ros.recordings.unmeasured import Measured, measured_only
-from proprio_ros.records import BoolArray, FloatArray, Recording
+from proprio_ros.records import STALL_CURRENT, BoolArray, FloatArray, Recording
 
 MOVED_RAD = 0.05
 """A joint that moves less than this in a whole recording stands still: its friction may carry any part of the load [rad]."""
@@ -46,6 +46,11 @@ class Motion:
     pace_std: float = 0.0
     lag_std_s: float = 0.0
     turned: tuple[str, ...] = ()  # joints whose effort was multiplied by -1, as was stated
+
+    @property
+    def made_of_goals(self) -> bool:
+        """Whether the currents were not measured, but made of goals or duty cycles, and of the supply."""
+        return self.source.startswith(STALL_CURRENT)
 
     @property
     def moved(self) -> tuple[str, ...]:

@@ -22,7 +22,8 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def _asked(row: Row) -> Any:
     """A row; motions of several joints take seconds each, and are asked in the gate."""
-    marks = [pytest.mark.long] if row.of.kind == MOTION else []
+    several = row.of.kind == MOTION or row.base.startswith("so101")
+    marks = [pytest.mark.long] if several else []
     return pytest.param(row, id=row.name, marks=marks)
 
 

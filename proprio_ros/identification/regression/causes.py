@@ -20,9 +20,11 @@ from proprio_ros.identification.estimate import Verdict
 from proprio_ros.identification.judge import Refusal
 from proprio_ros.identification.mistakes import of_all_joints, of_joint
 from proprio_ros.identification.reasons import Reason
-from proprio_ros.identification.regression.misread import misread, thinned
+from proprio_ros.identification.regression.likelihood import SURE, Recorded, thinned
+from proprio_ros.identification.regression.misread import Found, louder, misread
 from proprio_ros.identification.regression.motion_equations import Arm, Rows, equations
 from proprio_ros.identification.regression.motion_prior import HELD_WITHIN
+from proprio_ros.identification.regression.other_causes import other_causes, sure
 from proprio_ros.recordings.effort import effort_sign_option
 from proprio_ros.recordings.motions import Motion
 from proprio_ros.records import FloatArray
@@ -37,6 +39,10 @@ UNEXPLAINED = 0.15  # What an arm that differs from its URDF leaves is less;
 CERTAIN = 8.0  # a mistake that leaves so many times less is named whatever that is.
 SUSPECT = 0.25
 """Share of a joint's torque: on real and simulated arms that nothing is wrong with up to 0.16 are left over."""
+BEYOND_DOUBT = 150.0
+"""An answer that nothing else speaks against is only taken back for a misread joint that raises the logarithm of the likelihood
+by so much when it is read otherwise: on a real UR10e any that changes the mass raises it by 170, and on a real KUKA without any,
+whose wrist carries next to nothing, two that are not there by up to 123."""
 # So many samples are enough to tell mistakes apart: some twenty fits are made.
 RATE_HZ = 100.0
 LONGEST_S = 60.0
@@ -155,11 +161,17 @@ def with_cause(
     accepted = refusal.verdict is Verdict.ACCEPTED
     if accepted and unexplained < SUSPECT:
         return refusal
-    found = misread(robot, motions, empty)
+    found = one_mistake(robot, motions, empty, BEYOND_DOUBT if accepted else SURE)
     if found is not None and (found.of_positions or not accepted):
-        words = f"{found.words}: so the torques of all joints are explained, and as recorded they are not"
-        cause = Reason("misread_joint", words)
-        return _rejected_for(refusal, cause, "a joint is not read as its URDF has it")
+        cause = Reason(
+            "misread_joint",
+            f"{found.words}: so the torques of all joints are explained, and as recorded they are not",
+        )
+        if not found.is_misread:
+            cause = Reason(found.code, f"{found.words}. As recorded, the torques are not explained")
+        return _rejected_for(
+            refusal, cause, "the motions are explained otherwise than they were recorded"
+        )
     if accepted:
         return refusal
     everything = (*motions, *empty)
@@ -174,6 +186,43 @@ def with_cause(
         reason = Reason(code, f"{motion.name}: {mistake.sentence(others)}")
         return _rejected_for(refusal, reason, "the arm does not fit its URDF")
     return refusal
+
+
+def one_mistake(
+    robot: Robot,
+    motions: Sequence[Motion],
+    empty: Sequence[Motion] = (),
+    least: float = SURE,
+) -> Found | None:
+    """The mistake without which motions are explained far better than with it, and than without any other.
+
+    Args:
+        robot: With its calibration, where it has one of motions.
+        motions: With the payload.
+        empty: Of the same joints with an empty hand, or none.
+        least: By so much a joint that is misread has to raise the logarithm of the likelihood when that is undone.
+
+    Returns: None where nothing is sure.
+    """
+    try:
+        recorded = Recorded.of(robot, motions, empty)
+        if recorded is None:
+            return None
+        # a servo's gain is among the other causes
+        of_unit = np.inf if motions[0].made_of_goals else louder(recorded)
+        others = other_causes(recorded)
+        rivals = [of_unit, *(each.fit.cost for each in others)]
+        found = misread(recorded, min(rivals), least)
+    except (ProprioError, np.linalg.LinAlgError):
+        return None
+    if found is not None:
+        return found
+    alike = sure(others, of_unit)
+    if not alike:
+        return None
+    where = recorded.where({each.scope for each in alike})
+    words = ", or ".join(each.words for each in alike)
+    return Found(where + words, of_positions=False, code=alike[0].code)
 
 
 def _rejected_for(

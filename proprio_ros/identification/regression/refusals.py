@@ -43,6 +43,10 @@ positions are so far off was put together anew, where a recording knows that: th
 both are off alike, as from their URDF, a load shows it, too, and an interval holds that is off by less."""
 
 
+GOALS = "goals are those that the servos heard (none late, cut off or counted from another zero)"
+"""What the torques of a voltage's motors are made of, where nobody measured a current."""
+
+
 def deciding(
     tells: FloatArray | None,
     values: FloatArray,
@@ -99,6 +103,7 @@ def unexplained_torque(
     share: FloatArray,
     by: str,
     name: str = "",
+    made_of_goals: bool = False,
 ) -> Iterator[Refusal]:
     """Where the worst joint's torque is not what the model makes of it.
 
@@ -107,18 +112,22 @@ def unexplained_torque(
         share: Of the torque, that is left over by joint, shape (n,); NaN where one did not move.
         by: What the model consists of.
         name: Of the recording and a colon, before the sentence.
+        made_of_goals: Whether nobody measured it.
     """
     worst = int(np.argmax(np.nan_to_num(share)))
     if share[worst] > UNEXPLAINED_SHARE:
+        what = "the effort's unit and sign, and"
+        if made_of_goals:
+            what = f"that {GOALS}, and"
         yield rejected(
             "misfit",
             "the model does not explain the recording",
-            f"{name}{_percent(share[worst])} of the torque of {joints[worst]} is not explained by {by}: check the effort's "
-            "unit and sign, and that nothing touched the arm",
+            f"{name}{_percent(share[worst])} of the torque of {joints[worst]} is not explained by {by}: check {what} "
+            "that nothing touched the arm",
         )
 
 
-def joints_disagree(name: str, fit: MotionFit) -> Iterator[Refusal]:
+def joints_disagree(motion: Motion, fit: MotionFit) -> Iterator[Refusal]:
     """Where the joints near the base and the others, each alone, say masses that the interval does not allow.
 
     An effort of some joints in another unit, with and without the payload alike, shows itself nowhere else: what an arm weighs
@@ -131,11 +140,16 @@ def joints_disagree(name: str, fit: MotionFit) -> Iterator[Refusal]:
     # what the interval counts beside the residuals may differ from part to part
     std = np.sqrt(near_std**2 + far_std**2 + fit.covariance[0, 0])
     if abs(near - far) > APART_SIGMAS * std:
+        question = (
+            "are the efforts of some joints in another unit, or their torque constants wrong?"
+        )
+        if motion.made_of_goals:
+            question = f"check for each joint that {GOALS}, and its servo's P gain"
         yield rejected(
             "misfit",
             "the joints say different masses",
-            f"{name}: the joints before {parts.first_far} say {shown('kg', near, spec='.0f')}, that one and those after it "
-            f"{shown('kg', far, spec='.0f')}: are the efforts of some joints in another unit, or their torque constants wrong?",
+            f"{motion.name}: the joints before {parts.first_far} say {shown('kg', near, spec='.0f')}, that one and those after it "
+            f"{shown('kg', far, spec='.0f')}: {question}",
         )
 
 

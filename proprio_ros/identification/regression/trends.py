@@ -115,7 +115,7 @@ class Trend:
             )
         if self.torque_is_clear:
             changed.append(
-                f"torque per effort {_fell(self.torque)} by {100.0 * abs(self.torque):.1f} %"
+                f"effort per torque {_fell(self.torque)} by {100.0 * abs(self.torque):.1f} %"
             )
         return f"{' and '.join(changed)} along the recording, as while motors warm up: let the arm warm up first"
 

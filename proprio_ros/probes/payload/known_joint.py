@@ -33,6 +33,8 @@ MISFIT_SHARE = 0.25
 than 17 % unexplained by their own calibrations, and 33 % at least where the effort is another servo's and has no sign."""
 MISFIT_RATIO = 5.0
 """A motion may be explained so much worse than those of the calibration, which may have been gentler."""
+WORSE = 2.0
+"""Where a mass is told too coarsely, and its motion is explained so much worse, that is the first to be looked into."""
 
 
 def identify_known_joint(
@@ -104,7 +106,14 @@ def _refusals(
     yield from lighter_than_empty(
         fit.mass, half, "check the URDF's masses and the loads of the calibration"
     )
-    advice = f"; lift and lower the load, faster and for longer than the {STRETCH_S * fit.stretches:.0f} s used here"
+    worse = fit.residual / calibration.residual
+    advice = ""
+    if worse > WORSE:
+        advice = (
+            f"; it is explained {worse:.1f} times worse than the motions of its calibration: are goals late or cut off, or was the "
+            "servo set otherwise?"
+        )
+    advice += f"; lift and lower the load, faster and for longer than the {STRETCH_S * fit.stretches:.0f} s used here"
     # a mass at the end of what was looked for may be any
     useful = replace(USEFUL_OF_ONE_JOINT, share=0.0) if fit.at_the_end else USEFUL_OF_ONE_JOINT
     yield from interval_too_wide(useful, fit.mass, half, fit.parts, f"{motion.name}: ", advice)

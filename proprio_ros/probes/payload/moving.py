@@ -505,7 +505,7 @@ def _refusals(
             "other_torque",
             "torques are not those of the empty arm",
             f"{name}: the torque of {fit.joints[worst]} is {ratio[worst]:.2f} times what it should be by the empty hand's motion: "
-            "were both recorded with the same driver, unit, sign and torque constants, and is it the same arm?",
+            f"{_alike(motions[0])}",
         )
     if fit.halves is not None:
         (early, early_std), (late, late_std) = fit.halves
@@ -516,26 +516,38 @@ def _refusals(
                 f"{name}: the first half says {shown('kg', early, spec='.0f')}, the second {shown('kg', late, spec='.0f')}: "
                 "was something picked up or put down meanwhile? Record the motions with and without it apart",
             )
-    yield from refusals.joints_disagree(name, fit)
+    yield from refusals.joints_disagree(motions[0], fit)
     unexplained = refusals.deciding(fit.tells, fit.unexplained)
     yield from refusals.unexplained_torque(
-        fit.joints, unexplained, "the arm, its friction and a payload", f"{name}: "
+        fit.joints,
+        unexplained,
+        "the arm, its friction and a payload",
+        f"{name}: ",
+        motions[0].made_of_goals,
     )
     ratio = fit.residual / fit.empty_residual
     # never of one that does not decide
     worst = int(np.nanargmax(np.where(unexplained > 0.1, ratio, 0.0)))
     if unexplained[worst] > 0.1 and ratio[worst] > MISFIT_RATIO:
+        goals = f", and check that {refusals.GOALS}" if motions[0].made_of_goals else ""
         yield rejected(
             "misfit",
             "the model does not explain the recording",
             f"{name}: the torque of {fit.joints[worst]} is explained {ratio[worst]:.1f} times worse than with an empty hand: was "
-            "the payload held firmly, did nothing touch the arm, and are the joints' zeros where they were?",
+            f"the payload held firmly, did nothing touch the arm, and are the joints' zeros where they were?{goals}",
         )
     yield from refusals.unlike_urdf(fit.arm_over_urdf, motions[0])
     yield from refusals.far_from_prior(fit.arm, known)
     yield from refusals.lighter_than_empty(
         float(fit.values[0]), fit.half_width, "are the recordings mixed up?"
     )
+
+
+def _alike(motion: Motion) -> str:
+    """What has to be alike in two recordings for their torques to be."""
+    if motion.made_of_goals:
+        return f"check that {refusals.GOALS}, that P gain and supply are those of then, and that it is the same arm"
+    return "were both recorded with the same driver, unit, sign and torque constants, and is it the same arm?"
 
 
 def _changed_at_once(motion: Motion, trend: Trend) -> Iterator[Refusal]:

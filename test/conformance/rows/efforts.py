@@ -134,7 +134,6 @@ ROWS = (
         bends=(Bent("torque_falls", {"share": -0.06}),),
         cause=r"torque.*(fell|rose|changed|along)|warm",
         unsaid=r"held firmly|picked up",
-        pending="torque that falls comes next",
     ),
     Row(
         name="torque_without_gravity",

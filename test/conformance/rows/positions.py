@@ -41,7 +41,6 @@ ROWS = (
         bends=(Bent("joint_reversed", {"joint": "shoulder_lift_joint"}, _LOADED),),
         verdicts=("rejected", "not_identifiable"),
         cause=r"shoulder_lift_joint.*(reversed|other way|sign|direction|read .* off)",
-        pending="reversed joints come next",
     ),
     Row(
         name="elbow_put_on_anew",

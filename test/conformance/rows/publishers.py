@@ -100,6 +100,5 @@ ROWS = (
         base="ur10e",
         more=("--set", "robot.gravity=[1.7035,0,-9.661]"),
         cause=r"gravity|tilt|mounted",
-        pending="a tilt that the file does not state is refused, and not by name",
     ),
 )

@@ -59,7 +59,45 @@ def _heard(
     )
 
 
+def _of_arm(bend: str, trouble: str, cause: str, **parameters: float | str) -> Row:
+    """Goals of a simulated SO-101 that are not what its servos heard, with the very cause.
+
+    Args:
+        bend: Its name.
+        trouble: What it is.
+        cause: Regular expression that names it.
+        parameters: Of the bend.
+    """
+    return Row(
+        name=f"so101_{bend}",
+        section=_SECTION,
+        trouble=trouble,
+        base="so101_1",
+        bends=(Bent(bend, parameters, _LOADED),),
+        verdicts=REFUSED,
+        codes=("other_torque",),
+        cause=cause,
+        unsaid=r"same driver, unit|in another unit",
+    )
+
+
 ROWS = (
+    _of_arm(
+        "goals_late", "goals of an arm are stamped early", r"about \d+ ms earlier", late_s=-0.06
+    ),
+    _of_arm(
+        "goals_lead_more",
+        "gain or supply of an arm's servos is another",
+        r"the servos made about 0\.[78]\d? times .*P gain or supply",
+        factor=1.35,
+    ),
+    _of_arm(
+        "goals_clipped",
+        "an elbow's servo keeps within limits of its own",
+        r"servo of elbow_flex kept within",
+        joint="elbow_flex",
+        share=0.2,
+    ),
     *(
         _instead(recording)
         for recording in (

@@ -101,7 +101,7 @@ def test_motors_that_warm_up_are_followed(
     )
     assert answer.verdict is Verdict.ACCEPTED, answer.reasons
     assert off_in_sds(answer) < 3.0
-    what = "torque per effort" if torque else "friction"
+    what = "effort per torque" if torque else "friction"
     way = "fell" if friction + torque > 0.0 else "rose"
     assert any(what in note and way in note and "warm up" in note for note in answer.notes)
     if torque:  # nobody knows which torque the empty hand's was
