@@ -1,0 +1,162 @@
+"""The wizard in a real browser, on a virtual arm with its nodes: who closes the page, reloads it or stops leaves the arm held."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+pytest.importorskip("nicegui")
+pytest.importorskip("rclpy")
+pytest.importorskip("mujoco")
+
+from support.browser import BROWSER
+from support.live import UP_S, Client, wait_for
+from support.pendant import Shown, pendant
+from support.tab import Browser, Tab, browser
+
+from proprio_ros.nodes.domains import free_domain
+
+pytestmark = [
+    pytest.mark.long,
+    pytest.mark.skipif(BROWSER is None, reason="needs Chromium"),
+]
+MOVES = 0.02  # rad/s; slower is encoders
+LONG_S = 600.0
+
+
+class Desk:
+    """A pendant with its virtual arm, a browser, and somebody else who listens to the arm."""
+
+    def __init__(self, shown: Shown, window: Browser, client: Client) -> None:
+        self.shown = shown
+        self.window = window
+        self.client = client
+
+    def wizard(self, title: str) -> Tab:
+        """A tab with what is asked for a task."""
+        tab = self.window.tab()
+        tab.open(self.shown.address)
+        tab.click("Wizard")
+        tab.click(title)
+        tab.until(
+            f"[...document.querySelectorAll('[role=heading]')].some((it) => it.innerText === '{title}')"
+        )
+        return tab
+
+    def begin(self, tab: Tab) -> None:
+        """Confirm, and wait until the arm is pushed."""
+        tab.click("Start")
+        tab.shows("Keep away from it")
+        tab.click("Begin")
+        assert wait_for(lambda: self.client.excitation.get("phase") == "probe", LONG_S)
+
+    def is_held(self) -> bool:
+        """Whether nothing is under way, and the arm stands under torque."""
+        states = self.client.states
+        states.clear()
+        assert wait_for(lambda: len(states) > 2)
+        still = max(map(abs, states[-1].velocity)) < MOVES
+        idle = self.client.excitation["busy"] == "false"
+        held = all(status.message == "held" for status in self.client.diagnostics[-1].status)
+        return still and idle and held
+
+
+@pytest.fixture(scope="module")
+def desk(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Desk]:
+    folder = tmp_path_factory.mktemp("desk")
+    domain = free_domain()
+    before = os.environ.get("ROS_DOMAIN_ID")
+    os.environ["ROS_DOMAIN_ID"] = domain
+    cache = os.environ.get("WARP_CACHE_PATH") or str(Path("~/.cache/warp").expanduser())
+    around = {"HOME": str(folder), "WARP_CACHE_PATH": cache, "ROS_DOMAIN_ID": domain}
+    client = Client()
+    try:
+        with pendant(folder, "--virtual", **around) as shown, browser(folder) as window:
+            assert wait_for(lambda: "[identifier]: ready" in shown.told, UP_S), shown.told
+            yield Desk(shown, window, client)
+    finally:
+        client.close()
+        if before is None:
+            del os.environ["ROS_DOMAIN_ID"]
+        else:
+            os.environ["ROS_DOMAIN_ID"] = before
+
+
+def closes(tab: Tab) -> None:
+    tab.close()
+
+
+def reloads(tab: Tab) -> None:
+    tab.call("Page.reload")
+
+
+def presses_space(tab: Tab) -> None:
+    tab.press(" ", "Space", " ")
+
+
+def loses_the_network(tab: Tab) -> None:
+    tab.call(
+        "Network.emulateNetworkConditions",
+        offline=True,
+        latency=0,
+        downloadThroughput=0,
+        uploadThroughput=0,
+    )
+    tab.does("window.socket.io.engine.close()")
+
+
+@pytest.mark.parametrize("leaves", [closes, reloads, loses_the_network, presses_space])
+def test_whoever_leaves_in_mid_probe_leaves_the_arm_held(
+    desk: Desk, leaves: Callable[[Tab], Any]
+) -> None:
+    other = desk.wizard("Weigh an object")
+    tab = desk.wizard("Weigh an object")
+    desk.begin(tab)
+    other.shows("Another browser holds the arm")
+    other.click("Start")
+    other.shows("another browser holds the arm; it is free when")
+    leaves(tab)
+    other.shows("not done")
+    assert wait_for(desk.is_held)
+    statuses = [status.message for status in desk.client.statuses]
+    assert any("cancelled" in words or "abort" in words for words in statuses[-8:]), statuses[-8:]
+    assert "the browser that held the arm is silent" in desk.shown.told or leaves is presses_space
+    other.close()
+
+
+def test_who_looks_elsewhere_meanwhile_goes_on(desk: Desk) -> None:
+    """Calibrated, an object of 50 g is weighed by clicking, and its number is seen on the page of the arm, too."""
+    tab = desk.wizard("Calibrate the arm")
+    desk.begin(tab)
+    tab.click("Arm")
+    tab.click("Wizard")
+    tab.shows("accepted")
+    assert wait_for(desk.is_held)
+    tab.click("Weigh an object")
+    desk.begin(tab)
+    tab.click("Arm")
+    assert wait_for(lambda: desk.client.final(), LONG_S)
+    tab.until("document.querySelector('.number').innerText.endsWith(' g')")
+    grams = float(tab.does("document.querySelector('.number').innerText").split()[0])
+    ends = tab.does("document.querySelector('.interval').innerText").split()
+    assert float(ends[3]) < 50.0 < float(ends[5]) and abs(grams - 50.0) < 5.0
+    tab.click("Wizard")
+    tab.shows("What to do:")
+    status, report = desk.shown.page("/report")
+    assert status == 200 and "payload" in report
+    tab.close()
+
+
+def test_a_number_that_is_none_is_said_before_anything_moves(desk: Desk) -> None:
+    tab = desk.wizard("Weigh an object")
+    tab.does("document.querySelector('input').focus()")
+    for letter in "abc":
+        tab.press(letter, f"Key{letter.upper()}", letter)
+    tab.click("Start")
+    tab.shows("write three numbers in mm")
+    assert desk.client.excitation["busy"] == "false"
+    tab.close()
