@@ -195,12 +195,9 @@ def _point(at_s: float, values: Mapping[str, str]) -> Point | None:
     name = next((key for key in values if values.get(f"{key}.unit") == "kg"), "")
     try:
         mass = float(values[name])
-        low, high = json.loads(values[f"{name}.ci95"])
+        low, high = map(float, json.loads(values[f"{name}.ci95"]))
     except (KeyError, ValueError, TypeError):
         return None
-    return Point(
-        at_s,
-        mass,
-        float(low),
-        float(high),
-    )
+    if not all(map(math.isfinite, (mass, low, high))):
+        return None
+    return Point(at_s, mass, low, high)

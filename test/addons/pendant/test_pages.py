@@ -70,9 +70,12 @@ def test_the_space_bar_stops_wherever_the_focus_is(shown: Shown, window: Browser
     tab.close()
 
 
-def test_it_ends_in_order(tmp_path: Path) -> None:
-    with pendant(tmp_path) as shown:
+@pytest.mark.parametrize("words", [[], ["--virtual"]], ids=["alone", "virtual"])
+def test_it_ends_in_order(tmp_path: Path, words: list[str]) -> None:
+    with pendant(tmp_path, *words, HOME=str(tmp_path)) as shown:
+        assert wait_for(lambda: not words or "Ctrl-C ends them" in shown.told)
         assert shown.end() == 0
+        assert not words or "all nodes have ended" in shown.told
         assert "Traceback" not in shown.told
 
 
