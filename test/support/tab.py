@@ -23,6 +23,20 @@ PATIENCE_S = 120.0
 GL = ["--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--remote-debugging-port=0"]
 """Three dimensions without a graphics card."""
 
+PICK = """(() => {
+  const it = [...document.querySelectorAll("button, a, [role=button], summary, label")].filter((it) =>
+    it.innerText.trim().startsWith(%s) && it.getClientRects().length && !it.disabled)[0];
+  if (!it) return null;
+  it.scrollIntoView({block: "center"});
+  const box = it.getBoundingClientRect(), at = [box.x + box.width / 2, box.y + box.height / 2];
+  return it.contains(document.elementFromPoint(...at)) ? at : null;
+})()"""
+"""Where one would click; null while nothing is there, or something lies over it."""
+STILL = """await (async (at) => {
+  await new Promise((done) => setTimeout(done, 200));
+  return String(at) === String(%s);
+})(window.proprioAt)"""
+
 
 class Tab:
     """One tab.
@@ -79,7 +93,7 @@ class Tab:
 
     def until(self, script: str) -> None:
         """Wait until an expression is true."""
-        tried = f"(() => {{ try {{ return !!({script}) }} catch {{ return false }} }})()"
+        tried = f"(async () => {{ try {{ return !!({script}) }} catch {{ return false }} }})()"
         assert wait_for(lambda: self.does(tried), PATIENCE_S), (
             f"never: {script}; {self.text[-1500:]}"
         )
@@ -95,14 +109,10 @@ class Tab:
 
     def click(self, words: str) -> None:
         """What has this text, once it can be clicked: by the mouse, at its middle."""
-        pick = (
-            "[...document.querySelectorAll('button, a, [role=button], summary, label')].filter((it) => "
-            f"it.innerText.trim().startsWith({json.dumps(words)}) && it.getClientRects().length && !it.disabled)[0]"
-        )
-        self.until(f"!!{pick}")
-        self.does(f"{pick}.scrollIntoView({{block: 'center'}})")
-        box = self.does(f"(() => {{ const r = {pick}.getBoundingClientRect(); "
-                        "return [r.x + r.width / 2, r.y + r.height / 2]; })()")  # fmt: skip
+        found = PICK % json.dumps(words)
+        # what opens moves for a while
+        self.until(f"(window.proprioAt = {found}) && {STILL % found}")
+        box = self.does("window.proprioAt")
         for kind in ("mousePressed", "mouseReleased"):
             self.call(
                 "Input.dispatchMouseEvent",
