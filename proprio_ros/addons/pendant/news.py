@@ -182,7 +182,8 @@ class News:
             found,
             key=lambda said: -said.level,
         )
-        return list(dict.fromkeys(said.message for said in ordered))
+        # who wants all of a refusal reads its answer in the wizard
+        return list(dict.fromkeys(said.message.partition("; ")[0] for said in ordered))
 
     @property
     def diagnostics(self) -> list[Said]:
