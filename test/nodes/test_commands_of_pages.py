@@ -45,6 +45,8 @@ LONGEST_S = 3600.0
 """A new machine compiles kernels first, and others may use it."""
 END_S = 120.0
 LIVE = re.compile(r"^\S*proprio live\b")
+CALLING = ("another_robot", "payload", "until_sure", "calibrate_and_plan")
+"""Pages whose calls are to be answered by the arm of README's example, too."""
 CALL = re.compile(r"^\S*proprio call\b")
 
 
@@ -172,6 +174,19 @@ def test_the_offline_commands_of_readme(clone: Clone) -> None:
     assert done.stdout.startswith("accepted")
 
 
+def calls_of(*pages: str) -> list[str]:
+    """All calls on some pages, each once, without comments."""
+    found = re.findall(r"^(proprio call [^#\n]+)", "\n".join(map(page, pages)), re.MULTILINE)
+    return list(dict.fromkeys(each.strip() for each in found))
+
+
+def answers(clone: Clone, command: str) -> None:
+    """That a service answers, yes or no, with a sentence."""
+    done = clone.run(command)
+    assert done.returncode in (EXIT_OK, EXIT_NO_ANSWER), f"{command}: {done.stderr}"
+    assert done.stdout, command
+
+
 def test_the_live_commands(clone: Clone) -> None:
     """Readme's, and on the same arm those of its page: each starts, answers and ends, without `ros2`."""
     live, weigh = commands(text_of(README), "**Live**")
@@ -187,9 +202,10 @@ def test_the_live_commands(clone: Clone) -> None:
             assert CALL.match(command), command
             if command in weigh:  # it takes the longest, and was done
                 continue
-            done = clone.run(command)
-            assert done.returncode in (EXIT_OK, EXIT_NO_ANSWER), f"{command}: {done.stderr}"
-            assert done.stdout, command
+            answers(clone, command)
+        for command in calls_of(*CALLING):
+            if command.split()[2] not in " ".join([weigh, *of_page]):
+                answers(clone, command)
     kept = clone.environment["HOME"]
     assert list(Path(kept).glob(".ros/proprio_ros/virtual_default/*_payload/bag"))
 
@@ -281,7 +297,8 @@ def publishing(bag: Path) -> Iterator[list[int]]:
 
 
 def test_what_the_pages_call_is_a_service() -> None:
-    for name in ("arm", "weigh_at_work"):
+    for name in ("arm", "weigh_at_work", *CALLING):
+        assert calls_of(name), f"{name}: without `ros2`, too"
         called = re.findall(r"^proprio call ([a-z_]+)", page(name), re.MULTILINE)
         called += re.findall(r"ros2 service call /\w+/([a-z_]+) ", page(name))
         assert called
