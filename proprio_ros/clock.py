@@ -12,7 +12,7 @@ import statistics
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
@@ -91,6 +91,18 @@ class Clock:
         granted = [_raised(number) for number in numbers]
         return all(granted)
 
+    @contextlib.contextmanager
+    def urgently(self) -> Iterator[None]:
+        """While this lasts, seconds at most, an arm waits for what this thread computes: it comes before other programs."""
+        number = threading.get_native_id()
+        usual = os.getpriority(os.PRIO_PROCESS, number)
+        granted = _raised(number)
+        try:
+            yield
+        finally:
+            if granted:
+                os.setpriority(os.PRIO_PROCESS, number, usual)
+
 
 _clock = Clock()
 
@@ -154,6 +166,11 @@ def come_after_others() -> None:
 def come_before_others(which: Collection[int] = ()) -> bool:
     """Of threads that must not be late, see `Clock.come_before_others`."""
     return _clock.come_before_others(which)
+
+
+def urgently() -> contextlib.AbstractContextManager[None]:
+    """Of a thread for which an arm waits, see `Clock.urgently`."""
+    return _clock.urgently()
 
 
 def _raised(number: int) -> bool:

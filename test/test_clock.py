@@ -159,6 +159,40 @@ def test_what_hears_comes_before_others_and_what_computes_does_not() -> None:
     assert run.returncode == 0, run.stderr
 
 
+URGENT = """
+import os
+from proprio_ros import clock
+
+def priority():
+    return os.getpriority(os.PRIO_PROCESS, 0)
+
+usual = priority()
+with clock.urgently():
+    within = priority()
+if within == usual:
+    raise SystemExit(77)
+assert within < usual and priority() == usual
+try:
+    with clock.urgently():
+        raise ValueError
+except ValueError:
+    pass
+assert priority() == usual
+"""
+
+
+def test_what_an_arm_waits_for_is_urgent_while_it_lasts() -> None:
+    run = subprocess.run(
+        [sys.executable, "-c", URGENT],
+        capture_output=True,
+        text=True,
+        timeout=30,
+    )
+    if run.returncode == 77:
+        pytest.skip("no priority is granted here")
+    assert run.returncode == 0, run.stderr
+
+
 # --- round trips
 
 

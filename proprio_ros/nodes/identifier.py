@@ -310,7 +310,8 @@ class IdentifierNode(ManagedNode):
 
     def _work(self, job: Job, answer: Answer) -> None:
         """A job, in its thread: however it ends, it is answered."""
-        clock.come_after_others()
+        if not self.hears_first:
+            clock.come_after_others()
         level = "error"
         self.results.concluded = False
         try:

@@ -597,7 +597,7 @@ class Jobs:
             runs = self._heard_runs(live, 0)
         self._await_position(live)
         while True:
-            with threadpool_limits(1, user_api="blas"):
+            with threadpool_limits(1, user_api="blas"), clock.urgently():
                 decision = chooser.next(
                     runs,
                     live.position(),

@@ -46,6 +46,7 @@ class ManagedNode(LifecycleNode):
     """Threads that take part in the middleware, where the node has a process to itself."""
 
     def __init__(self, name: str, **kwargs: Any) -> None:
+        self.hears_first = False  # whether it hears before it, or anybody, computes
         self.called_s = 0.0  # when a service was called last
         self.turns = Turns()
         self.begun_s = self.turns.begun_s
@@ -72,7 +73,8 @@ class ManagedNode(LifecycleNode):
 
     def hear_before_others(self) -> None:
         """From now on what others say waits neither for other programs nor for what this one computes."""
-        if self.hearing and not come_before_others(self.hearing):
+        self.hears_first = bool(self.hearing) and come_before_others(self.hearing)
+        if self.hearing and not self.hears_first:
             self.say("info", NOT_GRANTED)
 
     def configure(self) -> None:

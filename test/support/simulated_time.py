@@ -8,6 +8,7 @@ The threads are greenlets of the one that made the clock: to hand on costs no sy
 
 from __future__ import annotations
 
+import contextlib
 import heapq
 import math
 import random
@@ -116,6 +117,9 @@ class SimulatedClock:
 
     def come_before_others(self, which: Collection[int] = ()) -> bool:
         return False
+
+    def urgently(self) -> contextlib.AbstractContextManager[None]:
+        return contextlib.nullcontext()
 
     def end(self) -> None:
         """All other actors end where they wait."""
