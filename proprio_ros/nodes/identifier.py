@@ -68,6 +68,7 @@ class IdentifierNode(ManagedNode):
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("identifier", **kwargs)
+        self._asked = {each.parameter: each.key for probe in all_probes() for each in probe.asked}
         self._baselines = {
             f"{probe.name}_baseline": probe
             for probe in all_probes()
@@ -234,6 +235,12 @@ class IdentifierNode(ManagedNode):
             for parameter in parameters:
                 if parameter.name in ("settings", "reference_settings"):
                     facts = parse_settings([pair for pair in parameter.value if pair])
+                    check_settings(replace(self.workspace.options(), settings=facts))
+                elif parameter.name in self._asked:
+                    value = str(parameter.value).strip()
+                    facts = parse_settings(
+                        [f"{self._asked[parameter.name]}={value}"] if value else []
+                    )
                     check_settings(replace(self.workspace.options(), settings=facts))
                 elif parameter.name in self._baselines:
                     probe = self._baselines[parameter.name]

@@ -151,6 +151,7 @@ class Jobs:
         """Have the runs of a probe made, and identify the object from them."""
         task = self._task(job, probe)
         request = task.request
+        self._say_what_is_guessed(task)
         self._prepare(job, task)
         chooser = None
         if task.plan.until is not None:
@@ -203,7 +204,11 @@ class Jobs:
         baseline = None
         if isinstance(probe, HasBaseline):
             baseline = self._workspace.find_baseline(probe, self._value(f"{probe.name}_baseline"))
-        stated = {**parse_settings(self._value("settings")), **parse_settings(job.settings)}
+        stated = {
+            **self._asked(probe),
+            **parse_settings(self._value("settings")),
+            **parse_settings(job.settings),
+        }
         request = self._workspace.request(probe, stated, baseline)
         request = replace(request, robot=aged_robot(request.robot, self._inputs.moment()))
         self._results.link = request.robot.payload_frame
@@ -217,6 +222,17 @@ class Jobs:
             limits = {limit.name: float(self._value(limit.name)) for limit in probe.limits}
             probe.check(request.robot, request.facts, plan, limits)
         return _Task(probe, request, baseline, sequence, plan)
+
+    def _asked(self, probe: Probe[Any]) -> dict[str, Any]:
+        """Facts that a probe asks for by parameters of their own, where they are stated."""
+        values = {each.key: str(self._value(each.parameter)).strip() for each in probe.asked}
+        return parse_settings([f"{key}={value}" for key, value in values.items() if value])
+
+    def _say_what_is_guessed(self, task: _Task) -> None:
+        """Before the arm moves: the user may know."""
+        for each in task.probe.asked:
+            if each.key not in task.request.options.settings:
+                self._node.say("warning", f"parameter {each.parameter} is empty. {each.about}")
 
     def _prepare(self, job: Job, task: _Task) -> None:
         """Compile what the identification needs, before anything moves."""

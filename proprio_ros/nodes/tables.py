@@ -320,7 +320,9 @@ def _parameters_of(probe: Probe[Any]) -> list[Parameter]:
     stated = (
         (each.name, each.default, each.description, each.lowest, each.highest) for each in limits
     )
-    return parameters + [Parameter(*limit, dynamic=True) for limit in stated]
+    parameters += [Parameter(*limit, dynamic=True) for limit in stated]
+    asked = [(each.parameter, "", each.about) for each in probe.asked]
+    return parameters + [Parameter(*each, dynamic=True, loose=True) for each in asked]
 
 
 IDENTIFIER = (

@@ -97,6 +97,15 @@ class Example:
 
 
 @dataclass(frozen=True)
+class Asked:
+    """A fact that decides the answer, and is a guess where nobody states it: a parameter of the identifier asks for it."""
+
+    parameter: str
+    key: str  # the same fact among the settings
+    about: str  # what it is, and what the guess costs
+
+
+@dataclass(frozen=True)
 class Carried:
     """A rigid load, as others want to hear of it."""
 
@@ -141,6 +150,7 @@ class Probe(ABC, Generic[Facts]):
     virtual_object: ClassVar[type[HandObject] | None] = None
     # what the user is asked for before the runs, as a sentence; empty: nothing
     hand: ClassVar[str] = ""
+    asked: ClassVar[tuple[Asked, ...]] = ()
     default_sequence: ClassVar[str]  # the runs that are made where none is named
     example: ClassVar[Example | None] = None  # what the demo shows; None: no demo
 

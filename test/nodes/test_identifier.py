@@ -213,6 +213,30 @@ def test_it_says_where_no_priority_is_granted(
     assert said == [managed_node.NOT_GRANTED] * (not granted)
 
 
+def test_the_size_of_a_block_is_asked_for(
+    nodes: Nodes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    node = nodes.identifier(data_directory=tmp_path, calibration="none")
+    node._prepared = True
+    refused = node._on_parameters([Parameter("block_size", value="3 cm")])
+    assert not refused.successful and "block.size" in refused.reason
+    said: list[str] = []
+    monkeypatch.setattr(node, "say", lambda severity, words: said.append(f"{severity}: {words}"))
+    probe = probe_named("softness")
+    for stated, size in (
+        ("", [0.03] * 3),
+        ("0.04", [0.04] * 3),
+        ("[0.03, 0.02, 0.04]", [0.03, 0.02, 0.04]),
+    ):
+        assert node._on_parameters([Parameter("block_size", value=stated)]).successful
+        node.set_parameters([Parameter("block_size", value=stated)])
+        task = node.jobs._task(Job(probe.name, "calibrate_softness"), probe)
+        assert task.request.facts.block.size.tolist() == pytest.approx(size)
+        node.jobs._say_what_is_guessed(task)
+    (words,) = said
+    assert words.startswith("warning: parameter block_size is empty.") and "35 %" in words
+
+
 def test_a_baseline_that_is_none_is_refused_when_it_is_stated(nodes: Nodes, tmp_path: Path) -> None:
     node = nodes.identifier(data_directory=tmp_path, calibration="none")
     node._prepared = True

@@ -68,6 +68,13 @@ class Softness(
     prepares = "a block: a shape is tabulated once, up to half a minute"
     refusal = "A softness_sequence that may squeeze the block further, as a share of its length, is refused."
     limits = (base.Limit(LIMIT, 0.4, refusal, 0.01, 0.95),)
+    asked = (
+        base.Asked(
+            "block_size",
+            "block.size",
+            "Size of the block x, y, z, x along the squeeze [m], or one number; empty: 0.03 is guessed, and the answer +-35 %.",
+        ),
+    )
     example = base.Example(
         flag="modulus", metavar="PA", help="Young's modulus of the block", truth=12e3, lowest=100.0, highest=1e7,
         units="moduli are in Pa, foam has 1e3 to 1e5",
