@@ -16,8 +16,8 @@ from support.schedules import Side, standing
 
 WEIGHINGS = int(os.environ.get("PROPRIO_SOAK_WEIGHINGS", "30"))
 MASSES_KG = (0.02, 0.05, 0.08, 0.035)
-SETTLED = 8
-"""After so many what is kept once, such as tables, is there."""
+SETTLED = 14
+"""After so many all is there that is kept once, and a cache of a dozen robots is full."""
 REST_S = 20.0
 """Between two weighings, of simulated time."""
 OURS = "proprio_ros"
@@ -55,5 +55,5 @@ def test_many_weighings(tmp_path: Path) -> None:
     assert not broken
     accepted = sum(answer.startswith("accepted") for answer in answers)
     assert accepted >= 0.9 * WEIGHINGS, answers
-    # a list of what was done may grow by an entry a weighing, what was recorded and fitted may not
-    assert not {name: count for name, count in more.items() if count > WEIGHINGS}
+    weighings = WEIGHINGS - 1 - SETTLED
+    assert not {name: count for name, count in more.items() if count >= weighings}

@@ -72,7 +72,7 @@ class Softness(
         base.Asked(
             "block_size",
             "block.size",
-            "Size of the block x, y, z, x along the squeeze [m], or one number; empty: 0.03 is guessed, and the answer +-35 %.",
+            "Size of the block x, y, z [m], x along the squeeze; empty: 0.03 each, a guess: the answer is +-35 %.",
         ),
     )
     example = base.Example(
