@@ -152,6 +152,8 @@ class OnlineFeed:
     @property
     def warning(self) -> str:
         """What is wrong with the estimate that the newest joint state gave; empty: nothing."""
+        if self._running is not None and self._running.scale.is_other:
+            return self._running.scale.words
         if not self.moved:
             return ""
         elsewhere = "is not in the calibration and not where it counts as standing"

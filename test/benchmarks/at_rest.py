@@ -4,16 +4,18 @@ The arms of `so101.py` (30 Hz, goals and positions alone), whose joints stick he
 holds a joint, gears lose up to 15 % of what they carry, and the firmware has a dead band of 0 to 2 counts that no file states. Two
 empty motions and one with 150 g calibrate; then the arm takes a load, goes to two poses at random, and stands. Asked are a
 recording of each pose, from half a second before the arm arrives, both together; and the whole as one recording. In one more pose
-the hand is empty at first, and holds the load after 3 s: there the running estimate is asked, 2 s later. The last question has
-something wrong: servos of twice the gain that was calibrated.
+the hand is empty at first, and holds the load after 3 s: there the running estimate is asked, 2 s later. The last questions have
+something wrong: servos of another gain than was calibrated, asked all three ways.
 
-    python test/benchmarks/at_rest.py [--arms 12] [--first 500]
+    python test/benchmarks/at_rest.py [--arms 12] [--first 500] [--jobs 1]
 """
 
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -37,8 +39,11 @@ ARRIVES_S = 0.5
 RATE_HZ = 30.0
 STANDS = "two poses"
 WHOLE = "and the way there"
-STIFFER = "servos of twice the gain"
+RUNNING = "running estimate"
+OTHER_GAINS = (0.5, 0.67, 0.8, 1.25, 1.5, 2.0)
+"""Times the gain that was calibrated."""
 STILL = "put into a still hand"
+OF_GAIN = {"poses": STANDS, "whole": WHOLE, "running": RUNNING}
 
 
 class Sticky(Arm):
@@ -79,6 +84,28 @@ class Sticky(Arm):
         return rows, [{name: values[of] for name, values in rows.items()} for of in of_poses]
 
 
+def new_feed(output: Path) -> OnlineFeed:
+    """The running estimate of a calibrated arm."""
+    request = request_of(Options(calibration=output, settings=SETTINGS))
+    return OnlineFeed(
+        probe_at_work(),
+        request.robot,
+        request.facts,
+        request.locked,
+    )
+
+
+def fed(
+    feed: OnlineFeed, rows: dict[str, np.ndarray], begins_s: float = 0.0
+) -> OnlineEstimate | None:
+    """What it says at the end of a recording that begins then; None: nothing."""
+    told = None
+    for t, goal, position in zip(rows["t"] + begins_s, rows["goal"], rows["position"], strict=True):
+        feed.stall.hear_goals(float(t), JOINTS, goal.tolist())
+        told = feed.add(float(t), JOINTS, position.tolist(), [], "") or told
+    return told
+
+
 def put_in(
     arm: Sticky,
     kg: float,
@@ -86,13 +113,7 @@ def put_in(
     output: Path,
 ) -> Estimate | OnlineEstimate | str:
     """What the running estimate says of a hand that was empty, and holds something since 2 s, of an arm that stands."""
-    request = request_of(Options(calibration=output, settings=SETTINGS))
-    feed = OnlineFeed(
-        probe_at_work(),
-        request.robot,
-        request.facts,
-        request.locked,
-    )
+    feed = new_feed(output)
     pose = MIDDLE + REACH * random.uniform(-1.0, 1.0, len(JOINTS))
     dry = arm.coulomb * random.normal(1.0, 0.05, len(JOINTS))
     told = None
@@ -100,25 +121,24 @@ def put_in(
         rows = arm.followed(
             load_kg, random, RATE_HZ, HELD_S - begins_s / 3.0, dry, [0.0, HELD_S], [pose, pose]
         )
-        for t, goal, position in zip(
-            rows["t"] + begins_s, rows["goal"], rows["position"], strict=True
-        ):
-            feed.stall.hear_goals(
-                float(t),
-                JOINTS,
-                goal.tolist(),
-            )
-            told = (
-                feed.add(
-                    float(t),
-                    JOINTS,
-                    position.tolist(),
-                    [],
-                    "",
-                )
-                or told
-            )
+        told = fed(feed, rows, begins_s) or told
     return told or "nothing is said"
+
+
+def calibrated(arm: Arm, random: np.random.Generator, folder: Path, seconds: float) -> Path:
+    """The calibration of an arm by two empty motions and one with a known load, so long each.
+
+    Raises:
+        ProprioError: It cannot be calibrated.
+    """
+    output = folder / "calibrated.yaml"
+    empty = [write(folder / label, arm.moved(0.0, random, RATE_HZ, seconds)) for label in "ab"]
+    known = write(folder / "known", arm.moved(KNOWN_KG, random, RATE_HZ, seconds))
+    options = Options(robot="so101", settings=SETTINGS)
+    learnt = calibrate_from_bags(empty, {known: KNOWN_KG}, options, output)
+    if learnt.verdict is not Verdict.ACCEPTED:
+        raise ProprioError(f"{learnt.verdict.value}: {'; '.join(learnt.reasons)}")
+    return output
 
 
 def weighed(
@@ -134,34 +154,7 @@ def weighed(
     found: list[tuple[str, float, Estimate | OnlineEstimate | str]] = []
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        output = folder / "calibrated.yaml"
-        empty = [
-            write(
-                folder / label,
-                arm.moved(
-                    0.0,
-                    random,
-                    RATE_HZ,
-                    seconds,
-                ),
-            )
-            for label in "ab"
-        ]
-        known = write(
-            folder / "known",
-            arm.moved(KNOWN_KG, random, RATE_HZ, seconds),
-        )
-        learnt = calibrate_from_bags(
-            empty,
-            {known: KNOWN_KG},
-            Options(
-                robot="so101",
-                settings=SETTINGS,
-            ),
-            output,
-        )
-        if learnt.verdict is not Verdict.ACCEPTED:
-            raise ProprioError(f"{learnt.verdict.value}: {'; '.join(learnt.reasons)}")
+        output = calibrated(arm, random, folder, seconds)
 
         def ask(what: str, kg: float, *recorded: dict[str, np.ndarray]) -> None:
             bags = [
@@ -191,12 +184,38 @@ def weighed(
                     ),
                 )
             )
-        arm.gain = 2.0 * GAIN
-        ask(
-            STIFFER,
-            asked_kg[-1],
-            *arm.stood(asked_kg[-1], random)[1],
+        for factor in OTHER_GAINS:
+            arm.gain = factor * GAIN
+            for kg in dict.fromkeys((asked_kg[len(asked_kg) // 2], asked_kg[-1])):
+                whole, of_poses = arm.stood(kg, random)
+                ask(other(factor, STANDS), kg, *of_poses)
+                ask(other(factor, WHOLE), kg, whole)
+                running = fed(new_feed(output), whole) or "nothing is said"
+                found.append((other(factor, RUNNING), kg, running))
+    return found
+
+
+def other(factor: float, what: str) -> str:
+    """The name of what is asked of servos of so many times the gain."""
+    return f"{factor:g} times the gain, {what}"
+
+
+def answers_of(
+    seed: int, masses: Sequence[float], seconds: float
+) -> list[tuple[str, float, Estimate | OnlineEstimate | str]]:
+    """As `weighed`; nothing of an arm that cannot be calibrated."""
+    try:
+        found = weighed(seed, masses, seconds)
+    except ProprioError as error:
+        print(f"arm {seed}: {error}")
+        return []
+    for what, kg, answer in found:
+        words = (
+            f"{answer.verdict.value} {answer.values[0].ci95} {answer.reasons}"
+            if isinstance(answer, Estimate)
+            else str(answer)
         )
+        print(f"arm {seed}, {what}, {1e3 * kg:.0f} g: {words}"[:220], flush=True)
     return found
 
 
@@ -214,21 +233,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument(
         "--seconds", type=float, default=60.0, help="of each motion that calibrates"
     )
+    parser.add_argument("--jobs", type=int, default=1, help="arms at the same time")
     options = parser.parse_args(arguments)
     results = Results(__file__, options.json, arguments)
-    found: list[tuple[str, float, Estimate | OnlineEstimate | str]] = []
-    for seed in range(options.first, options.first + options.arms):
-        try:
-            found += weighed(seed, options.masses, options.seconds)
-        except ProprioError as error:
-            print(f"arm {seed}: {error}")
-        for what, kg, answer in found[-3 * len(options.masses) - 1 :]:
-            told = (
-                f"{answer.verdict.value} {answer.values[0].ci95} {answer.reasons}"
-                if isinstance(answer, Estimate)
-                else str(answer)
-            )
-            print(f"arm {seed}, {what}, {1e3 * kg:.0f} g: {told}"[:220])
+    seeds = range(options.first, options.first + options.arms)
+    ask = partial(answers_of, masses=options.masses, seconds=options.seconds)
+    with ProcessPoolExecutor(options.jobs) as pool:
+        found = [answer for of_arm in pool.map(ask, seeds) for answer in of_arm]
     results.table(
         "rest",
         {
@@ -242,7 +253,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
             "farthest, in sd": "{farthest:.1f}",
         },
     )
-    for what in (STANDS, WHOLE, STILL, STIFFER):
+    for what in (STANDS, WHOLE, STILL):
         mine = [(kg, answer) for of, kg, answer in found if of == what]
         groups = [
             (f"{1e3 * kg:.0f} g" if kg else "nothing", {kg})
@@ -255,7 +266,49 @@ def main(arguments: Sequence[str] | None = None) -> None:
                 held,
                 [(kg, answer) for kg, answer in mine if kg in kgs],
             )
+    results.table(
+        "gain",
+        {
+            "times the gain": "{factor:g}",
+            **{
+                f"{what}: accepted, interval misses, farthest in sd": f"{{{key}_accepted}} of {{{key}_asked}}, {{{key}_missed}}, "
+                f"{{{key}_farthest:.1f}}"
+                for key, what in OF_GAIN.items()
+            },
+        },
+    )
+    for factor in OTHER_GAINS:
+        cells: dict[str, Any] = {}
+        for key, what in OF_GAIN.items():
+            mine = [(kg, answer) for of, kg, answer in found if of == other(factor, what)]
+            cells |= {f"{key}_{name}": value for name, value in of_accepted(mine).items()}
+        results.row("gain", factor=factor, **cells)
     results.keep()
+
+
+def accepted_numbers(
+    answers: Sequence[tuple[float, Estimate | OnlineEstimate | str]],
+) -> Iterator[tuple[float, float, float, float, float]]:
+    """Truth, value, standard deviation and both ends of the interval of those that were accepted [kg]."""
+    for kg, answer in answers:
+        if isinstance(answer, OnlineEstimate) and answer.known:
+            yield kg, answer.mass_kg, answer.std_kg, *answer.ci95_kg
+        elif isinstance(answer, Estimate) and answer.verdict is Verdict.ACCEPTED:
+            value: Any = answer.values[0]
+            yield kg, value.value, value.std, *value.ci95
+
+
+def of_accepted(
+    answers: Sequence[tuple[float, Estimate | OnlineEstimate | str]],
+) -> dict[str, float]:
+    """How many were accepted, how many of these intervals miss, and the farthest in standard deviations."""
+    numbers = list(accepted_numbers(answers))
+    return {
+        "asked": len(answers),
+        "accepted": len(numbers),
+        "missed": sum(not low <= kg <= high for kg, _, _, low, high in numbers),
+        "farthest": max((abs(value - kg) / std for kg, value, std, _, _ in numbers), default=0.0),
+    }
 
 
 def row(

@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 
+from proprio_ros.identification.regression.scale_in_motion import TorqueScale
 from proprio_ros.live.online_estimator import OnlineFeed, any_moved
 from proprio_ros.robot import load_robot
 
@@ -24,6 +25,7 @@ class Estimator:
         self.held = held
         self.rows = []
         self.frozen = False
+        self.scale = TorqueScale()
 
     def add(
         self,

@@ -37,6 +37,7 @@ from proprio_ros.identification.regression.online import (
     OnlineEstimator,
     is_finite,
 )
+from proprio_ros.identification.regression.scale_in_motion import NOTHING_SEEN, TorqueScale
 from proprio_ros.quantity import Z95
 from proprio_ros.recordings.motions import Motion
 from proprio_ros.records import FloatArray
@@ -59,6 +60,7 @@ ALIKE = 0.5
 """Part of that variance which a joint has in common in all poses that it reached from one side: many of them are no cure."""
 FRICTION = "friction of joints that stand"
 PLACE = "where the load lies"
+GAIN = "the servos' gain"
 MOVING = "a few seconds of motion"
 ROUNDS = 20
 SETTLED_KG = 1e-6  # What the mass changes by in a round that is the last.
@@ -199,8 +201,20 @@ class RestFit:
     rms: float = float("nan")
     expected_rms: float = float("nan")
     moved_s: float = 0.0  # seconds of motion that it rests on instead; 0: on stances
+    scale: TorqueScale = NOTHING_SEEN  # of the torques, as motion before and between shows it
+    by_scale_kg: float = 0.0  # what the mass is too large by per part that all torques are
     # what the other of the two says, with its standard deviation [kg]
     beside: tuple[float, float] | None = None
+
+    def scaled_by(self, scale: TorqueScale) -> RestFit:
+        """The same where motion leaves the torques' ``scale`` open."""
+        of_gain = abs(self.by_scale_kg) * scale.open
+        return replace(
+            self,
+            std_kg=float(np.hypot(self.std_kg, of_gain)),
+            parts={**self.parts, **({GAIN: of_gain} if of_gain else {})},
+            scale=scale,
+        )
 
 
 def fit_at_rest(
@@ -236,17 +250,18 @@ def fit_at_rest(
         centre_std_m = payload_stds(arm)[1:4]
     found = [Stances.of(robot, motion, calibration.joints) for motion in motions]
     stood = Stances.together(found)
+    in_motion = [
+        _in_motion(robot, motion, calibration, centre_m, centre_std_m) for motion in motions
+    ]
+    scale = NOTHING_SEEN
+    for moved in in_motion:
+        scale = scale.plus(moved.scale)
     fits: list[RestFit] = []
     if len(stood.way):
-        fits.append(_by_stances(arm, calibration, stood, centre_m, centre_std_m))
-    if len(motions) == 1:
-        fits += _in_motion(
-            robot,
-            motions[0],
-            calibration,
-            centre_m,
-            centre_std_m,
-        )
+        fit = _by_stances(arm, calibration, stood, centre_m, centre_std_m)
+        fits.append(fit.scaled_by(scale))
+    if len(motions) == 1 and in_motion[0].moved_s:
+        fits.append(in_motion[0])
     if not fits:
         raise TooLittleMotion(
             f"{motions[0].name}: the arm neither stands still for {SHORTEST_S:g} s nor moves for long enough: hold it in several "
@@ -300,8 +315,8 @@ def _in_motion(
     calibration: MotionCalibration,
     centre_m: FloatArray,
     centre_std_m: FloatArray,
-) -> list[RestFit]:
-    """As the running estimate has it at the end; none where nothing moved, or something was picked up or put down meanwhile."""
+) -> RestFit:
+    """As the running estimate has it at the end; of no motion where none was, or something was picked up or put down meanwhile."""
     std_m = float(max(np.max(centre_std_m), LEAST_PLACE_STD_M))
     running = OnlineEstimator(
         robot, calibration, centre_m=centre_m.tolist(), centre_std_m=std_m, held=dict(motion.held)
@@ -314,12 +329,18 @@ def _in_motion(
         if running.add(time_s, position, current):
             now = running.estimate()
             if now is not None and now.changed:
-                return []
+                return RestFit(0.0, np.inf, 0, {}, scale=running.scale)
     last = running.estimate()
     if last is None:
-        return []
-    parts = {MOVING: last.std_kg}
-    return [RestFit(last.mass_kg, last.std_kg, 0, parts, moved_s=float(last.motion_s))]
+        return RestFit(0.0, np.inf, 0, {})
+    return RestFit(
+        last.mass_kg,
+        last.std_kg,
+        0,
+        parts={MOVING: last.std_kg},
+        moved_s=float(last.motion_s),
+        scale=running.scale,
+    )
 
 
 def _by_stances(
@@ -360,6 +381,7 @@ def _by_stances(
         freedom=freedom,
         rms=float(np.sqrt(np.mean(left**2))),
         expected_rms=float(np.sqrt(expected)),
+        by_scale_kg=mass + float(gain @ equations.own),
     )
 
 
@@ -404,6 +426,7 @@ class _StanceEquations:
         self.lever = self._per_kg * self._given
         axes = by_payload[..., 1:4].reshape(-1, 3) / scale
         self._shift = axes * self._given[:, None] * centre_std_m  # (E, 3)
+        self.own = self._pull * self._given
         torque = (stood.current_A * calibration.torque_constants).ravel()
         self._beside_arm = torque - self._pull * self._given - values[terms.offset][self._joint]
 
@@ -553,6 +576,8 @@ class StandingEstimator(OnlineEstimator):
         fit = self._stance
         if fit is None:
             return self._anything() if self._lost else moved
+        if self.scale.is_other:
+            fit = replace(fit, std_kg=float(np.hypot(fit.std_kg, self._arm.kg)))
         now_s = self._rows[-1][0]
         if moved is not None:
             apart = abs(moved.mass_kg - fit.mass_kg)

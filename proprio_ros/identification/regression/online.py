@@ -42,9 +42,11 @@ from proprio_ros.identification.regression.motion_equations import (
 )
 from proprio_ros.identification.regression.motion_equations import WINDOW_S as CALIBRATED_S
 from proprio_ros.identification.regression.motion_prior import LEAST_TORQUE_STD, relative_torque_std
+from proprio_ros.identification.regression.scale_in_motion import NOTHING_SEEN, TorqueScale
 from proprio_ros.identification.regression.weak_form import Windows
 from proprio_ros.quantity import Z95
 from proprio_ros.recordings.motions import LONGEST_GAP_S
+from proprio_ros.recordings.voltage import voltage_driven
 from proprio_ros.records import FloatArray
 from proprio_ros.robot import ReducedModel, Robot
 from proprio_ros.robot.kinematics import zero_pose
@@ -248,6 +250,7 @@ class OnlineEstimator:
             [LEAST_TORQUE_STD if told else relative_torque_std(robot, name) for name in self.joints]
         )
         self._calibration = calibration
+        self._by_gain = not {*voltage_driven(robot)}.isdisjoint(self.joints)
         self._least_rad = COUNTS * np.array(
             [robot.drive_trains[name].encoder_resolution for name in self.joints]
         )
@@ -544,6 +547,14 @@ class OnlineEstimator:
         self._fresh_s = self._after = None
         return self._filter, False
 
+    @property
+    def scale(self) -> TorqueScale:
+        """What motion shows of the scale of all torques, of servos whose gain nobody reads; else nothing."""
+        now = self._filter if self._after is None else self._after
+        if now is None or not self._by_gain:
+            return NOTHING_SEEN
+        return now.scale
+
     def estimate(self) -> OnlineEstimate | None:
         """What the hand holds now; None before anything moved."""
         now = self._filter if self._after is None else self._after
@@ -556,7 +567,10 @@ class OnlineEstimator:
         apart = np.linalg.norm(now.by_share * self._apart_std / LEAST_TORQUE_STD)
         constants = max(float(apart), abs(mass) * self._calibration.torque_scale_std)
         beside_constants = max(now.std_kg**2 - float(counted) ** 2, 0.0)
-        std = float(np.sqrt(beside_constants + constants**2)) * scale
+        of_gain = now.by_scale * self.scale.seen
+        if self.scale.is_other:
+            of_gain = self._arm.kg
+        std = float(np.sqrt(beside_constants + constants**2 + of_gain**2)) * scale
         mass *= scale
         resting = self._looked_s - self._moved_s >= RESTING_S
         changed = np.isfinite(self._changed_at_s)
@@ -622,6 +636,7 @@ class _Past:
     covariance: FloatArray
     time_s: float
     misfit: float
+    scale: TorqueScale
 
 
 @dataclass(frozen=True)
@@ -630,8 +645,8 @@ class _Heard:
 
     along: FloatArray  # torque per kilogram of the load [N m/kg], shape (E,)
     rows: FloatArray  # torque per unit of the state, shape (E, N)
-    # columns: torque beside the calibration's [N m], what shares of the torque constants put on it, and what steps that may have
-    # been put on it per kg; shape (E, 1 + n + onsets)
+    # columns: torque beside the calibration's [N m], what shares of the torque constants put on it, what all of the arm's torque
+    # does, and what steps that may have been put on it per kg; shape (E, 2 + n + onsets)
     heard: FloatArray
 
 
@@ -662,8 +677,9 @@ class _Filter:
         self._covariance = np.eye(size)
         self._time_s = float("nan")
         self._misfit = 1.0
-        # columns: what was measured, shares of the torque constants, and steps that may have been
-        self._state = np.zeros((size, 1 + knows.count))
+        # columns: what was measured, shares of the torque constants, the arm's torque, and steps that may have been
+        self._state = np.zeros((size, 2 + knows.count))
+        self._scale = NOTHING_SEEN
         self._loud: list[deque[tuple[float, float]]] = [
             deque(maxlen=NOISE_WINDOWS) for _ in range(knows.count)
         ]
@@ -691,11 +707,22 @@ class _Filter:
         shares = slice(1, 1 + self._knows.count)
         return self._state[self._load.start, shares] * self._knows.widest_kg
 
+    @property
+    def scale(self) -> TorqueScale:
+        """By how much all torques are read larger than the calibration's, as far as motion shows it."""
+        return self._scale
+
+    @property
+    def by_scale(self) -> float:
+        """What the mass is too large by per part that all torques are [kg]."""
+        arm = float(self._state[self._load.start, 1 + self._knows.count])
+        return arm * self._knows.widest_kg + self.mass_kg
+
     def step(self, window: _Window) -> None:
         """Go on by one window."""
         start_s = window.start_s
         hop_s = 0.5 * self._window_s
-        first_step = 1 + self._knows.count
+        first_step = 2 + self._knows.count
         before = self._state[:, :first_step]
         self._past.append(
             _Past(
@@ -704,6 +731,7 @@ class _Filter:
                 self._covariance,
                 self._time_s,
                 self._misfit,
+                self._scale,
             ),
         )
         while len(self._past) * hop_s > LATEST_STEP_S:
@@ -752,7 +780,12 @@ class _Filter:
         self._state = self._state + gain @ innovation
         self._covariance = self._covariance - gain @ spread.T
         weighted = inverse @ innovation[:, 0]
-        steps = innovation[:, 1 + self._knows.count :]
+        first_step = 2 + self._knows.count
+        scale = innovation[:, first_step - 1]
+        keeps = np.exp(-0.5 * self._window_s / MEMORY_S)
+        heard = TorqueScale(float(scale @ weighted), float(scale @ inverse @ scale))
+        self._scale = self._scale.plus(heard, keeps)
+        steps = innovation[:, first_step:]
         self._along = self._along + steps.T @ weighted
         self._information = self._information + np.einsum("ij,ik,kj->j", steps, inverse, steps)
         keeps = np.exp(-0.5 * self._window_s / MISFIT_S)
@@ -787,7 +820,8 @@ class _Filter:
         off = window.torque - design @ knows.values
         before = self._before_onsets(float(window.start_s[0]))
         steps = along[:, None] * (1.0 - before)
-        heard = np.hstack([off[:, None], design @ knows.by_share, steps])
+        own = design @ knows.values
+        heard = np.hstack([off[:, None], design @ knows.by_share, own[:, None], steps])
         return _Heard(along, rows, heard)
 
     def _before_onsets(self, start_s: float) -> FloatArray:
@@ -852,6 +886,7 @@ class _Filter:
         new = _Filter(self._knows, self._window_s)
         new._time_s = last.time_s
         new._misfit = last.misfit
+        new._scale = last.scale
         new._begun_s = onset_s
         new._heavy_kg = held_kg + change_kg
         new._state = last.state.copy()

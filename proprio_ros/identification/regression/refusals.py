@@ -220,12 +220,17 @@ def held_when_empty(held: HeldByFile) -> Iterator[Refusal]:
 def noticed(fit: MotionFit) -> FloatArray:
     """By how much of a joint's torque this has to differ from the empty arm's to be noticed, shape (n,)."""
     _, std = fit.off["own_scale"]
-    least = np.maximum(RATIO_SHARE, APART_SIGMAS * np.hypot(std, RATIO_STD))
     return np.where(
         fit.tells < DECIDES,
         np.inf,
-        least,
+        noticed_from(std),
     )
+
+
+def noticed_from(std: FloatArray | float) -> FloatArray:
+    """From what share on it is noticed that a torque is another one, where that share is known with a standard deviation."""
+    least: FloatArray = np.maximum(RATIO_SHARE, APART_SIGMAS * np.hypot(std, RATIO_STD))
+    return least
 
 
 def other_zero(name: str, fit: MotionFit) -> Iterator[Refusal]:

@@ -21,6 +21,7 @@ from proprio_ros.identification.regression.refusals import (
     lighter_than_empty,
     unlike_urdf,
 )
+from proprio_ros.identification.regression.scale_in_motion import other_gain
 from proprio_ros.probes.payload.moving import drift, motion_answer
 from proprio_ros.quantity import Z95, shown
 from proprio_ros.recordings.motions import Motion
@@ -83,7 +84,7 @@ def identify_standing(
         [positive("payload_mass", "kg", fit.mass_kg, fit.std_kg, refusal.withheld)],
         (
             f"the arm hardly moved, and the mass rests on {how}",
-            "nothing but the hand touches payload and arm; each servo has the gain that it was calibrated with",
+            f"nothing but the hand touches payload and arm; each servo has the gain that it was calibrated with{fit.scale.told}",
         ),
         fit=None if fit.moved_s else Fit(fit.rms, fit.expected_rms, fit.chi2 / fit.freedom, "N m"),
         budget=list(fit.parts.items()),
@@ -95,6 +96,7 @@ def identify_standing(
 def _refusals(
     motion: Motion, fit: RestFit, moving: MotionFit | None, arm_over_urdf: float
 ) -> Iterator[Refusal]:
+    yield from other_gain(motion.name, fit.scale)
     worse = 0.0 if moving is None else float(np.nanmax(moving.residual / moving.empty_residual))
     other, other_std = fit.beside or (fit.mass_kg, 0.0)
     apart = abs(other - fit.mass_kg) > APART_SIGMAS * np.hypot(other_std, fit.std_kg)

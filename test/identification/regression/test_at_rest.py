@@ -122,6 +122,36 @@ def test_where_it_stood_and_how_it_came_there(robot: Robot) -> None:
     assert not len(Stances.of(robot, moving, JOINTS).way)
 
 
+def test_servos_of_another_gain_are_named_by_how_they_moved(tmp_path: Path) -> None:
+    """Where an arm stands a heavy load hides it."""
+    pytest.importorskip("mujoco")
+    from at_rest import GAIN, SETTINGS, Sticky, calibrated, fed, new_feed, write
+
+    from proprio_ros.pipeline.replay import replay
+    from proprio_ros.pipeline.request import Options
+
+    random = np.random.default_rng(500)
+    arm = Sticky(random)
+    output = calibrated(arm, random, tmp_path, seconds=20.0)
+    options = Options(calibration=output, settings=SETTINGS)
+    right, _ = arm.stood(0.6, random, poses=1)
+    answer = replay(write(tmp_path / "right", right), options)
+    assert answer.verdict is Verdict.ACCEPTED, answer.reasons
+    assert answer.values[0].ci95[0] <= 0.6 <= answer.values[0].ci95[1]
+    assert "motion shows it to" in answer.assumptions[1]
+
+    arm.gain = 2.0 * GAIN
+    whole, poses = arm.stood(0.6, random)
+    for name, parts in (("whole", [whole]), ("poses", poses)):
+        bags = [write(tmp_path / f"{name}{number}", rows) for number, rows in enumerate(parts)]
+        refused = replay(bags, options)
+        assert refused.reasons[0].code == "other_torque", refused.reasons
+        assert "P gain" in refused.reasons[0]
+    feed = new_feed(output)
+    running = fed(feed, whole)
+    assert running is not None and not running.known and "P gain" in feed.warning
+
+
 @pytest.mark.long
 def test_two_poses_tell_a_load(tmp_path: Path) -> None:
     """Of an arm in MuJoCo whose joints stick, by the benchmark that says how often intervals hold."""
