@@ -266,6 +266,14 @@ def main(arguments: Sequence[str] | None = None) -> None:
                 held,
                 [(kg, answer) for kg, answer in mine if kg in kgs],
             )
+    _other_gains(results, found)
+    results.keep()
+
+
+def _other_gains(
+    results: Results, found: Sequence[tuple[str, float, Estimate | OnlineEstimate | str]]
+) -> None:
+    """The table of servos that have another gain."""
     results.table(
         "gain",
         {
@@ -283,7 +291,6 @@ def main(arguments: Sequence[str] | None = None) -> None:
             mine = [(kg, answer) for of, kg, answer in found if of == other(factor, what)]
             cells |= {f"{key}_{name}": value for name, value in of_accepted(mine).items()}
         results.row("gain", factor=factor, **cells)
-    results.keep()
 
 
 def accepted_numbers(
