@@ -39,6 +39,7 @@ LABELS: Mapping[str, str] = {
     "foreign_load_goals_100.all": "goals at 100 Hz, as the load says",
     "foreign_load_goals_30.all": "goals at 30 Hz, as the load says",
     "live.live": "{way}, {held}",
+    "more_recordings.more": "torque {percent:g} %, {empty} empty, {loads} loads, {what}",
     "real.real": "{asked}",
     "running.sensing": "arm {arm}",
     "running.running": "arm {arm}, payload",

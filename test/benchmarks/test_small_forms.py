@@ -49,6 +49,7 @@ SMALL: dict[str, tuple[str, ...]] = {
         "--jobs",
         "1",
     ),
+    "more_recordings": ("--arms", "1", "--percent", "1"),
     "mutated_pushes": ("--count", "2", "--first", "3"),
     "motions": ("--arms", "1", "--first", "101", "--seconds", "10"),
     "real": ("--machines", "open_manipulator"),

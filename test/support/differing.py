@@ -32,21 +32,24 @@ def differs(
     rng: np.random.Generator,
     arm: Twin,
     elsewhere: bool = False,
+    times: float = 1.0,
 ) -> Differs:
-    """What a recording of an arm has of its own."""
+    """What a recording of an arm has of its own; with ``times`` so many times as much."""
     count = len(arm.build.axes)
     away = np.zeros(count)
     if elsewhere:
         away = ELSEWHERE_RAD * rng.choice((-1.0, 1.0), count)
     return Differs(
-        scale=1.0 + SCALE_COMMON * rng.standard_normal() + SCALE_OWN * rng.standard_normal(count),
+        scale=1.0
+        + times * SCALE_COMMON * rng.standard_normal()
+        + times * SCALE_OWN * rng.standard_normal(count),
         friction=np.clip(
-            1.0 + FRICTION * rng.standard_normal(count),
+            1.0 + times * FRICTION * rng.standard_normal(count),
             0.3,
             2.0,
         ),
-        offset=OFFSET_SHARE * arm.coulomb * rng.standard_normal(count),
-        zero=ZERO_RAD * rng.standard_normal(count),
+        offset=times * OFFSET_SHARE * arm.coulomb * rng.standard_normal(count),
+        zero=times * ZERO_RAD * rng.standard_normal(count),
         elsewhere=away,
         speed=FASTER if elsewhere else 1.0,
     )
@@ -59,6 +62,7 @@ class DifferingArm:
         seed: It is drawn from.
         build: What kind of arm it is.
         seconds: Of each recording.
+        times: As far as usual do recordings differ.
     """
 
     def __init__(
@@ -66,8 +70,10 @@ class DifferingArm:
         seed: int,
         build: Build,
         seconds: float,
+        times: float = 1.0,
     ) -> None:
         self.twin, self.seconds = Twin(seed, build), seconds
+        self.times = times
         self.rng = np.random.default_rng([seed, 29])
 
     def held(self) -> tuple[float, np.ndarray]:
@@ -86,7 +92,7 @@ class DifferingArm:
         alike: bool = False,
     ) -> Motion:
         """A recording; with ``alike`` it has only friction of its own, as a minute later."""
-        own = differs(self.rng, self.twin, elsewhere)
+        own = differs(self.rng, self.twin, elsewhere, self.times)
         if alike:
             one = np.ones_like(own.scale)
             own = Differs(
