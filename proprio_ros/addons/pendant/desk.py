@@ -83,7 +83,7 @@ class Asked:
                 raise ConfigurationError(
                     f"facts: {fact[:60]!r}: write KEY=VALUE, a space between two"
                 )
-            found += ["--set", fact]
+            found.append(f"--set={fact}")
         return found
 
 
@@ -106,12 +106,11 @@ class Desk:
         self.asked = Asked()
 
     def shown(self, path: Path) -> str:
-        """A path as one types it where the pendant was started."""
-        return (
-            os.path.relpath(path, self.places.begun)
-            if path.is_relative_to(self.places.begun)
-            else str(path)
-        )
+        """A path as one types it where the pendant was started; never one that looks like an option."""
+        if not path.is_relative_to(self.places.begun):
+            return str(path)
+        typed = os.path.relpath(path, self.places.begun)
+        return f"./{typed}" if typed.startswith("-") else typed
 
     def choose(self, path: Path) -> None:
         """Put a recording on the desk. Raises `ConfigurationError`: It may not be, or there are too many."""

@@ -16,7 +16,7 @@ pytest.importorskip("nicegui")
 
 from proprio_ros.addons.pendant.desk import ASKED, BESIDE, EMPTY, KNOWN, Desk
 from proprio_ros.addons.pendant.jobs import Job
-from proprio_ros.addons.pendant.kept import kept
+from proprio_ros.addons.pendant.kept import calibrations, kept, terms
 from proprio_ros.addons.pendant.places import Places
 from proprio_ros.addons.pendant.results import answered, number_of
 from proprio_ros.errors import ConfigurationError
@@ -114,7 +114,10 @@ def test_empty_hands_calibrate_first(desk: Desk) -> None:
     assert asked.answer["estimates"] == again["estimates"]
     low, high = again["estimates"][0]["ci95"]  # type: ignore[index]
     assert low < 0.023 < high
-    assert [each.calibration is not None for each in kept(desk.places, desk.places.data)] == [True]
+    (found,) = kept(desk.places, desk.places.data)
+    assert found.calibration is not None
+    assert calibrations(desk.places) == [found.calibration]
+    assert set(terms(found.calibration)) > {"joint2", "joint3"}
 
 
 def test_what_cannot_be_asked_is_said(desk: Desk) -> None:
@@ -139,6 +142,17 @@ def test_what_cannot_be_asked_is_said(desk: Desk) -> None:
     with pytest.raises(ConfigurationError, match="call them baseline"):
         desk.begin_answer()
     assert not desk.places.data.exists()
+
+
+def test_nothing_that_is_typed_or_named_becomes_an_option(desk: Desk) -> None:
+    odd = desk.places.begun / "--force"
+    shutil.copytree(desk.places.begun / CUBE, odd)
+    desk.choose(odd)
+    assert list(desk.chosen) == ["./--force"]
+    desk.asked.facts = "--robot=panda"
+    assert desk.asked.words() == ["--set=--robot=panda"]
+    job = ended(desk, "begin_answer")
+    assert "robot" in job.steps[0].answer["error"]
 
 
 def test_what_a_command_refuses_is_shown(desk: Desk) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Awaitable, Callable, Mapping, Sequence
 from functools import partial
 from html import escape
 from pathlib import Path
@@ -45,8 +45,9 @@ async def show(pendant: Pendant) -> None:
         with ui.element("div").classes("steps"):
             chosen = ui.element("section").classes("card").props('aria-label="Chosen recordings"')
             asked = ui.element("section").classes("card").props('aria-label="What is asked"')
-            await _ask(pendant, asked)
-            _Outcome(desk, pendant.read_only)
+            fill = partial(_ask, pendant, asked)
+            await fill()
+            _Outcome(desk, fill)
     _Chosen(pendant, chosen)
 
 
@@ -272,6 +273,7 @@ async def _ask(pendant: Pendant, place: ui.element) -> None:
     asked = desk.asked
     found = await run.io_bound(calibrations, desk.places)
     known = {desk.shown(path): f"{path.parent.name}/{path.name}" for path in found or []}
+    place.clear()
     with place:
         ui.label("What is asked").classes("title").props("role=heading aria-level=2")
         with ui.element("div").classes("row"):
@@ -318,8 +320,9 @@ def _state(desk: Desk, key: str, value: str) -> None:
 class _Outcome:
     """The latest job, as every page sees it."""
 
-    def __init__(self, desk: Desk, reads_only: bool) -> None:
+    def __init__(self, desk: Desk, learnt: Callable[[], Awaitable[None]]) -> None:
         self._desk = desk
+        self._learnt = learnt  # called when there may be a new calibration
         self._shown: tuple[Job | None, bool] = (None, False)
         with ui.element("section").classes("card progress").props('aria-label="Answer"') as card:
             self._card = card
@@ -340,7 +343,7 @@ class _Outcome:
         if job is not None:
             job.cancel()
 
-    def _read(self) -> None:
+    async def _read(self) -> None:
         job = self._desk.jobs.latest
         runs = self._desk.jobs.under_way is not None
         self._card.set_visibility(job is not None)
@@ -359,6 +362,8 @@ class _Outcome:
             if not runs:
                 with self._answer:
                     self._show(job)
+                if job.steps[0].kind == "calibrate":
+                    await self._learnt()
 
     def _show(self, job: Job) -> None:
         if job.cancelled:
