@@ -149,6 +149,28 @@ def test_history_compares(shown: Shown, window: Browser, tmp_path: Path) -> None
     tab.close()
 
 
+def test_a_file_of_this_computer_is_sent(
+    shown: Shown, window: Browser, home: Path, tmp_path: Path
+) -> None:
+    good = tmp_path / "sent.csv"
+    good.write_bytes(TABLE)
+    odd = tmp_path / "odd.csv"
+    odd.write_text("name,colour\nball,red\n")
+    tab = window.tab()
+    tab.open(shown.address)
+    tab.click("Recordings")
+    tab.shows("Drop a recording")
+    picked = tab.call("Runtime.evaluate", expression="document.querySelector('.drop input')")
+    files = [str(odd), str(good)]
+    tab.call("DOM.setFileInputFiles", files=files, objectId=picked["result"]["objectId"])
+    tab.shows("odd.csv: no columns of times and joint positions in it")
+    tab.shows("uploads/sent.csv")
+    tab.click("Leave out")
+    assert (home / ".ros/proprio_ros/uploads/sent.csv").read_bytes() == TABLE
+    assert not tab.said
+    tab.close()
+
+
 def test_names_for_a_screen_reader(shown: Shown, window: Browser) -> None:
     tab = window.tab()
     tab.open(shown.address)
