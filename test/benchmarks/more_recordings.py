@@ -23,7 +23,8 @@ from support.differing import DifferingArm, louder
 from proprio_ros.identification.regression.motion_equations import once_each
 from proprio_ros.identification.regression.motion_fit import fit_empty, fit_payload
 from proprio_ros.identification.regression.torque_scale import scaled_by_references
-from proprio_ros.robot import load_robot
+from proprio_ros.recordings.motions import Motion
+from proprio_ros.robot import Robot, load_robot
 
 USUAL_PERCENT = 3.0  # By so much torque differs as `support/differing.py` has it.
 PERCENT = (0.2, 1.0, 3.0)
@@ -40,7 +41,17 @@ class Answer:
     half: float  # of the 95 % interval, likewise
 
 
-def answers(seed: int, percent: float) -> Iterator[Answer]:
+@dataclass(frozen=True)
+class Recorded:
+    """What one arm is known by, and what it is asked."""
+
+    robot: Robot
+    empty: list[Motion]
+    known: list[tuple[Motion, float]]  # and the load in it [kg]
+    asked: dict[str, tuple[float, Motion]]  # with the true mass [kg]
+
+
+def recorded(seed: int, percent: float) -> Recorded:
     """Of one arm whose torque differs so much from recording to recording."""
     build = (SIX, FOUR)[seed % 2]
     arm = DifferingArm(seed, build, SECONDS, percent / USUAL_PERCENT)
@@ -56,13 +67,21 @@ def answers(seed: int, percent: float) -> Iterator[Answer]:
         "load, efforts 1.05 times": (load_kg, louder(loaded, 1.05)),
         "nothing": (0.0, arm.recorded("asked empty")),
     }
+    return Recorded(robot, empty, known, asked)
+
+
+def answers(seed: int, percent: float) -> Iterator[Answer]:
+    """All masses of one arm."""
+    arm = recorded(seed, percent)
     with once_each():
         for empties, loads in KNOWN:
-            calibration = fit_empty(robot, empty[:empties])
+            calibration = fit_empty(arm.robot, arm.empty[:empties])
             if loads:
-                calibration, _ = scaled_by_references(robot, calibration, known[:loads], None)
-            for what, (truth_kg, motion) in asked.items():
-                fit = fit_payload(robot, [motion], calibration)
+                calibration, _ = scaled_by_references(
+                    arm.robot, calibration, arm.known[:loads], None
+                )
+            for what, (truth_kg, motion) in arm.asked.items():
+                fit = fit_payload(arm.robot, [motion], calibration)
                 scale = 100.0 / truth_kg if truth_kg else 1e3
                 value_kg = max(float(fit.values[0]), 0.0)
                 row = (percent, empties, loads, what)
