@@ -33,6 +33,7 @@ ROLES = {
 MOST_CHOSEN = 60
 ESTIMATE = "estimate.json"
 REPORT = "report.html"
+BATCH = "batch.html"
 CALIBRATION = "calibration.yaml"
 
 
@@ -211,8 +212,8 @@ class Desk:
         source = self.shown(self.places.recording(folder))
         out = self._folder("batch")
         words = ["batch", source, "--out", self.shown(out), "--probe", self.asked.probe]
-        step = Step([*words, *self.asked.arm(), *self.asked.words()], out / "batch.html")
-        self._begin(Job(f"Batch over {source}", [step]), out)
+        step = Step([*words, *self.asked.arm(), *self.asked.words()], out / BATCH)
+        self._begin(Job(f"Batch over {folder.name}", [step]), out)
 
     def _folder(self, what: str) -> Path:
         """For an answer, called as the nodes call theirs."""

@@ -9,7 +9,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-from proprio_ros.addons.pendant.desk import CALIBRATION, ESTIMATE, REPORT
+from proprio_ros.addons.pendant.desk import BATCH, CALIBRATION, ESTIMATE, REPORT
 from proprio_ros.addons.pendant.places import Places
 from proprio_ros.errors import ProprioError
 from proprio_ros.robot import load_robot
@@ -58,8 +58,9 @@ def _each(folder: Path) -> Iterator[Kept]:
         estimate = _estimate(path / ESTIMATE)
         calibration = _there(path / CALIBRATION)
         bag = _there(path / "bag")
-        if estimate or calibration or bag:
-            yield Kept(path, _when(path), estimate, calibration, bag, _there(path / REPORT))
+        report = _there(path / REPORT) or _there(path / BATCH)
+        if estimate or calibration or bag or report:
+            yield Kept(path, _when(path), estimate, calibration, bag, report)
 
 
 def _there(path: Path) -> Path | None:

@@ -140,7 +140,8 @@ def _runs(runs: Sequence[Mapping[str, Any]]) -> str:
 def _batch(found: Mapping[str, Any]) -> str:
     """Counts, and a row an episode."""
     counts = ", ".join(
-        f"{count} {escape(name)}" for name, count in found.get("verdicts", {}).items()
+        f"{count} {escape(name.replace('_', ' '))}"
+        for name, count in found.get("verdicts", {}).items()
     )
     head = f'<p class="state">{found.get("episodes", 0)} recordings: {counts}</p>'
     names = ["episode", "unit", "value", "std", "low", "high", "verdict", "reason_codes"]

@@ -197,4 +197,5 @@ def test_a_batch_has_a_row_a_recording(desk: Desk) -> None:
     shown = answered(step)
     assert shown.count("<tr>") == 1 + 3, shown
     assert CUBE in shown
-    assert step.report is not None and step.report.is_file()
+    (found,) = kept(desk.places, desk.places.data)
+    assert found.report == step.report

@@ -88,13 +88,18 @@ def _table(desk: Desk, found: Sequence[Kept]) -> str:
                 escape(each.what),
                 escape(number) or NOTHING,
                 escape(interval.removeprefix("95 % interval ")) or NOTHING,
-                results.verdict(said)
-                if said
-                else ("calibration" if each.calibration else "recording"),
+                results.verdict(said) if said else _kind_of(each),
                 link,
             ]
         )
     return results.table(["when", "what", "answer", "95 % interval", "", ""], rows)
+
+
+def _kind_of(each: Kept) -> str:
+    """Of what has no answer."""
+    if each.calibration:
+        return "calibration"
+    return "recording" if each.bag else "batch"
 
 
 class _Compare:
