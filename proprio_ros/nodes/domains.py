@@ -72,13 +72,22 @@ def heard_in(domain: str) -> list[str]:
         ConfigurationError: Nobody can be heard, with the middleware's words.
     """
     command = [sys.executable, "-m", "proprio_ros.nodes.domains", str(LISTEN_S)]
-    listener = subprocess.run(
-        command, env={**os.environ, "ROS_DOMAIN_ID": domain}, capture_output=True, text=True
+    listener = subprocess.Popen(
+        command,
+        env={**os.environ, "ROS_DOMAIN_ID": domain},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
     )
+    try:
+        names, complaint = listener.communicate()
+    finally:  # whoever is interrupted leaves nobody behind
+        listener.kill()
+        listener.wait()
     if listener.returncode:
-        words = listener.stderr.strip().splitlines() or ["without a word"]
+        words = complaint.strip().splitlines() or ["without a word"]
         raise ConfigurationError(f"cannot listen in ROS domain {domain}: {words[-1]}")
-    return listener.stdout.split()
+    return names.split()
 
 
 def _listen(listen_s: float) -> list[str]:

@@ -209,7 +209,8 @@ def one_mistake(
         if recorded is None:
             return None
         # a servo's gain is among the other causes
-        of_unit = np.inf if motions[0].made_of_goals else louder(recorded)
+        of_goals = any(motion.made_of_goals for motion in (*motions, *empty))
+        of_unit = np.inf if of_goals else louder(recorded)
         others = other_causes(recorded)
         rivals = [of_unit, *(each.fit.cost for each in others)]
         found = misread(recorded, min(rivals), least)

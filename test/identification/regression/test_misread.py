@@ -185,6 +185,13 @@ def test_nothing_is_named_where_nothing_or_something_else_is_wrong(six: Pair) ->
     nothing_is_named(six)
 
 
+def test_motions_with_an_empty_hand_alone(six: Pair) -> None:
+    """A calibration has no others."""
+    assert one_mistake(six.robot, (), [six.empty]) is None
+    found = one_mistake(six.robot, (), [turned(six.empty, 2)])
+    assert found is not None and "j3" in found.words
+
+
 @pytest.mark.long
 @pytest.mark.parametrize("joint", [1, 2, 3])
 def test_a_small_arm(tmp_path: Path, joint: int) -> None:
