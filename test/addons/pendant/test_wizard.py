@@ -92,6 +92,9 @@ def reloads(tab: Tab) -> None:
 
 def presses_space(tab: Tab) -> None:
     tab.press(" ", "Space", " ")
+    tab.click("Give up")
+    tab.shows("Nobody holds the arm")
+    tab.close()
 
 
 def loses_the_network(tab: Tab) -> None:
