@@ -126,7 +126,7 @@ def test_whoever_leaves_in_mid_probe_leaves_the_arm_held(
     other.click("Start")
     other.shows("another browser holds the arm; it is free when")
     leaves(tab)
-    other.shows("not done")
+    other.until("!!document.querySelector('.verdict.bad')")
     assert wait_for(desk.is_held)
     statuses = [status.message for status in desk.client.statuses]
     assert any("cancelled" in words or "abort" in words for words in statuses[-8:]), statuses[-8:]
