@@ -77,10 +77,11 @@ def demo(
     folder.mkdir(parents=True, exist_ok=True)
     # a domain of its own: another arm's driver on this network must not hear our commands, nor we its states
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    domain = _domain()
     _interrupted.clear()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, _interrupt)
+    domain = _domain()
+    _obey_interrupt()
     with Graph(folder / "logs") as graph:
         weighs = _start(
             graph,

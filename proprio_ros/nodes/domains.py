@@ -72,22 +72,18 @@ def heard_in(domain: str) -> list[str]:
         ConfigurationError: Nobody can be heard, with the middleware's words.
     """
     command = [sys.executable, "-m", "proprio_ros.nodes.domains", str(LISTEN_S)]
-    listener = subprocess.Popen(
+    # a session of its own: Ctrl-C is for whoever asks, and the listener ends soon by itself
+    listener = subprocess.run(
         command,
         env={**os.environ, "ROS_DOMAIN_ID": domain},
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
+        capture_output=True,
         text=True,
+        start_new_session=True,
     )
-    try:
-        names, complaint = listener.communicate()
-    finally:  # whoever is interrupted leaves nobody behind
-        listener.kill()
-        listener.wait()
     if listener.returncode:
-        words = complaint.strip().splitlines() or ["without a word"]
+        words = listener.stderr.strip().splitlines() or ["without a word"]
         raise ConfigurationError(f"cannot listen in ROS domain {domain}: {words[-1]}")
-    return names.split()
+    return listener.stdout.split()
 
 
 def _listen(listen_s: float) -> list[str]:

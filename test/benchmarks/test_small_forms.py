@@ -98,7 +98,7 @@ SMALL: dict[str, tuple[str, ...]] = {
 ELSEWHERE = {
     "against_c", "against_mujoco", "against_scipy", "against_substeps", "bus", "calibrated", "container", "fresh_process",
     # parts of run.py; bus: test/bus/test_cycle.py, where the computer is not shared
-    "planned", "softness",
+    "gpu", "planned", "softness",
     "answers", "batch", "motion_bound", "random_arm", "run",  # below, and in test_motion_bound.py
     "contents_bound",  # of a law, without recordings: its table is kept
     # minutes a seed: test/excitation/test_late_efforts.py calibrates such an arm
