@@ -18,7 +18,7 @@ from proprio_ros.errors import ConfigurationError, RobotError
 from proprio_ros.live.session import as_parameters, live_request, settings_for
 from proprio_ros.pipeline.request import Options, Request, robot_of
 from proprio_ros.probes.base import Probe
-from proprio_ros.recordings.reader import open_bag
+from proprio_ros.recordings.sources import open_recording
 from proprio_ros.robot import Robot
 
 # age of a baseline that is worth a warning: nobody remembers what was changed since
@@ -147,9 +147,8 @@ class Workspace:
             return None
         path = Path(stated).expanduser() if stated else self.newest_baseline(probe)
         if path.is_dir() or path.is_file():
-            with open_bag(
-                path
-            ):  # whoever names something else hears so now, and not after the arm has moved
+            # whoever names something else hears so now, and not after the arm has moved
+            with open_recording(path):
                 return path.resolve()
         if stated:
             is_there = "that is no recording" if path.exists() else "there is no such recording"

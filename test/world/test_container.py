@@ -215,7 +215,7 @@ def test_what_is_stated_about_the_container_is_a_parameter(arm: Calibrated) -> N
     for baseline, reason in (
         ("/dev/zero", "that is no recording"),
         ("/nowhere/bag", "there is no such recording"),
-        (__file__, "not readable as a ROS 2 bag"),
+        (__file__, "not a bag"),
     ):
         result = client.set("/identifier", "container_baseline", baseline)
         assert not result.successful
