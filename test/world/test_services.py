@@ -86,7 +86,8 @@ def test_objects_are_weighed(arm: Calibrated, mass_kg: float) -> None:
     samples = [int(told["samples"]) for told in live]
     std = [float(told["payload_mass.std"]) for told in live]
     assert samples == sorted(samples)
-    assert all(after < 1.03 * before for before, after in pairwise(std)), std
+    # a push of which a few samples are there may contradict the others for a moment
+    assert sum(after > 1.03 * before for before, after in pairwise(std)) <= 1, std
     assert std[-1] < 0.97 * std[0], (samples, std)
 
 

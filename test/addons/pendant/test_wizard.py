@@ -25,9 +25,9 @@ pytestmark = [
 ]
 MOVES = 0.02  # rad/s; slower is encoders
 LONG_S = 600.0
-PUSH_A = -0.28
+PUSH_A = 0.01
 PUSH_S = 20.0
-"""Longer than anybody may be silent, and gentle: the elbow hardly moves."""
+"""Longer than anybody may be silent, and less than the base's friction, so that no limit ends it before."""
 PATIENT: dict[str, dict[str, Any]] = {
     "driver": {"reply_timeout": 0.1, "command_timeout": 0.5},
     "excitation": {"stale_after": 4.0},
@@ -77,7 +77,7 @@ def desk(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Desk]:
     folder = tmp_path_factory.mktemp("desk")
     domain = free_domain()
     push = folder / "push.yaml"
-    push.write_text(one_push(PUSH_A, PUSH_S, AWAY))
+    push.write_text(one_push(PUSH_A, PUSH_S, AWAY, "joint1"))
     identifier = {"payload_sequence": str(push)}
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("ROS_DOMAIN_ID", domain)
