@@ -574,7 +574,8 @@ def test_several_empty_motions_and_a_reference_calibrate(
         for each in answer["motion"]["weighed_empty"]
     )
     code, answer = weighed(capsys, path, "ur10e_loaded_14")
-    assert code == 0 and abs(answer["estimates"][0]["value"] - 2.805) < 0.01
+    # beside it counts what is taken of torque constants that nobody states: they are within 1 % of 1
+    assert code == 0 and abs(answer["estimates"][0]["value"] - 2.805) < 0.01 * 2.805 + 0.01
     # a reference of half its mass is no reference
     more = ("--reference", f"{REAL / 'ur10e_loaded_14'}=1.4")
     assert calibrated(ur10e, tmp_path / "wrong.yaml", "ur10e_empty_14", more=more) == 3
