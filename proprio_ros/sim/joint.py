@@ -112,6 +112,20 @@ class _Padded:
         )
 
 
+def samples_within(times_s: np.ndarray, counts: np.ndarray, fraction: float) -> np.ndarray:
+    """How many samples of each of R runs lie in the first part of its time, at least three, shape (R,), int32.
+
+    Args:
+        times_s: Of the samples, each row from 0 on [s]; behind its samples a row may have anything, shape (R, T).
+        counts: How many samples each run has, shape (R,).
+        fraction: Of each run's time.
+    """
+    ends = times_s[np.arange(len(counts)), counts - 1]
+    within = times_s <= (fraction * ends + TIME_EPS)[:, None]
+    within &= np.arange(times_s.shape[1]) < counts[:, None]
+    return np.minimum(np.maximum(within.sum(axis=1, dtype=np.int32), 3), counts)
+
+
 class JointSimulator:
     """Rolls out many worlds (guesses) of one or more runs of single joints in one launch.
 
@@ -239,13 +253,7 @@ class JointSimulator:
 
     def windows(self, fraction: float) -> np.ndarray:
         """How many samples of each run lie in the first ``fraction`` of its time, at least three; shape (R,), int32."""
-        ends = self._times_s[np.arange(len(self.runs)), self.sample_counts - 1]
-        within = self._times_s <= (fraction * ends + TIME_EPS)[:, None]
-        within &= np.arange(self._width) < self.sample_counts[:, None]
-        return np.minimum(
-            np.maximum(within.sum(axis=1, dtype=np.int32), 3),
-            self.sample_counts,
-        )
+        return samples_within(self._times_s, self.sample_counts, fraction)
 
     def jacobian(
         self,

@@ -30,7 +30,7 @@ from proprio_ros.kinds import Kind, add_kinds
 from proprio_ros.quantity import Z95
 from proprio_ros.records import Run
 from proprio_ros.robot import ReducedModel, Robot, pseudo_inertia, rotation_about
-from proprio_ros.sim.joint import JointRun, JointSimulator
+from proprio_ros.sim.joint import JointRun, samples_within
 from proprio_ros.sim.joint_kernels import PARAMETERS
 from proprio_ros.sim.payload import joint_coefficients
 
@@ -113,8 +113,6 @@ class HungSimulator:
     and how fast it begins.
     """
 
-    windows = JointSimulator.windows
-
     def __init__(
         self,
         models: Sequence[ReducedModel],
@@ -140,6 +138,14 @@ class HungSimulator:
                 supply=supply, step_s=run.step_s, fine_step_s=run.fine_step_s,
             )  # fmt: skip
             self._chains.append((chain, self._map(chain, model, hung)))
+
+    def windows(self, fraction: float) -> np.ndarray:
+        """As of ``JointSimulator``: how many samples of each run lie in the first part of its time, shape (R,)."""
+        of_runs = [
+            samples_within(run.sample_times_s[None], self.sample_counts[row : row + 1], fraction)
+            for row, run in enumerate(self.runs)
+        ]
+        return np.concatenate(of_runs)
 
     def _map(self, chain: ChainSimulator, model: ReducedModel, hung: Hung) -> np.ndarray:
         """From our parameters to the chain's, shape (C, P)."""
