@@ -10,9 +10,12 @@ import sys
 from pathlib import Path
 from typing import Any
 
+import gpu
 import pytest
 from figures import markdown
 from results import REPOSITORY
+
+from proprio_ros.identification.together import rules
 
 SHARED = REPOSITORY.parent / "shared"
 SMALL: dict[str, tuple[str, ...]] = {
@@ -245,3 +248,8 @@ def test_a_benchmark_starts_by_itself(name: str) -> None:
         check=False,
     )
     assert done.returncode == 0, done.stderr
+
+
+def test_fits_on_a_card_go_as_far_as_those_of_a_weighing() -> None:
+    """The benchmark runs where the package is not installed, and has their rules written down."""
+    assert rules() == gpu.RULES

@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from proprio_ros.addons.pendant.calls import Call
+from proprio_ros.addons.pendant.results import reason_list
 from proprio_ros.addons.pendant.words import answer_of
-from proprio_ros.identification.reasons import REMEDIES
 
 _KEPT = re.compile(r"\b(recording|calibration): (\S[^;]*)")
 REPORT = "report.html"
@@ -35,20 +35,10 @@ def report_of(call: Call | None) -> Path | None:
 def answer(call: Call) -> str:
     """All that came of it."""
     found = call.answer or {}
-    message = str(
-        found.get(
-            "message",
-            "",
-        )
-    )
+    message = str(found.get("message", ""))
     estimate = found.get("estimate") or {}
     number, interval = answer_of(estimate)
-    verdict = str(
-        estimate.get(
-            "verdict",
-            "",
-        )
-    )
+    verdict = str(estimate.get("verdict", ""))
     if not verdict:
         verdict = "done" if found.get("success") else "not done"
     kind = "good" if found.get("success") else "bad"
@@ -69,13 +59,7 @@ def _reasons(estimate: Mapping[str, Any], message: str) -> str:
     """Why, and what to do: by their codes, where the file of the answer is on this computer."""
     said = [str(estimate[key]) for key in estimate if key.startswith("reason.")]
     codes = _codes(message)
-    rows = []
-    for number, sentence in enumerate(said):
-        code = codes[number] if len(codes) == len(said) else ""
-        remedy = REMEDIES.get(code, "")
-        todo = f'<br><span class="todo">What to do: {escape(remedy)}.</span>' if remedy else ""
-        rows.append(f"<li>{escape(sentence)}{todo}</li>")
-    return f'<ul class="reasons">{"".join(rows)}</ul>' if rows else ""
+    return reason_list(said, codes if len(codes) == len(said) else [])
 
 
 def _codes(message: str) -> list[str]:
@@ -84,10 +68,4 @@ def _codes(message: str) -> list[str]:
         kept = json.loads((folder / "estimate.json").read_text()) if folder else {}
     except (OSError, ValueError):
         return []
-    return [
-        str(code)
-        for code in kept.get(
-            "reason_codes",
-            [],
-        )
-    ]
+    return [str(code) for code in kept.get("reason_codes", [])]

@@ -35,10 +35,13 @@ def verdict(words: str) -> str:
 
 def reasons(found: Mapping[str, Any]) -> str:
     """Why, and what to do."""
-    said = found.get("reasons") or []
-    codes = found.get("reason_codes") or []
+    return reason_list(found.get("reasons") or [], found.get("reason_codes") or [])
+
+
+def reason_list(sentences: Sequence[str], codes: Sequence[str]) -> str:
+    """Sentences with what to do about each, as far as their codes are known."""
     rows = []
-    for number, sentence in enumerate(said):
+    for number, sentence in enumerate(sentences):
         remedy = REMEDIES.get(codes[number] if number < len(codes) else "", "")
         todo = f'<br><span class="todo">What to do: {escape(remedy)}.</span>' if remedy else ""
         rows.append(f"<li>{escape(str(sentence))}{todo}</li>")

@@ -14,9 +14,8 @@ import pytest
 
 pytest.importorskip("nicegui")
 
-from support.browser import BROWSER
 from support.pendant import Shown, pendant
-from support.tab import Browser, Tab, browser
+from support.tab import Browser, Tab
 
 from proprio_ros.addons.pendant.places import MOST_BYTES
 
@@ -58,14 +57,6 @@ def shown(home: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Show
             yield shown
     finally:
         os.chdir(began)
-
-
-@pytest.fixture(scope="module")
-def window(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
-    if BROWSER is None:
-        pytest.skip("needs Chromium")
-    with browser(tmp_path_factory.mktemp("window")) as window:
-        yield window
 
 
 def focus(tab: Tab, words: str) -> None:

@@ -13,9 +13,8 @@ import pytest
 pytest.importorskip("nicegui")
 pytest.importorskip("rclpy")
 
-from support.browser import BROWSER
 from support.pendant import Shown, pendant
-from support.tab import Browser, browser
+from support.tab import Browser
 from support.waiting import wait_for
 
 from proprio_ros.addons.pendant.pages import PAGES
@@ -28,14 +27,6 @@ PATHS = [page.path for page in PAGES]
 def shown(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Shown]:
     with pendant(tmp_path_factory.mktemp("pendant")) as shown:
         yield shown
-
-
-@pytest.fixture(scope="module")
-def window(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
-    if BROWSER is None:
-        pytest.skip("needs Chromium")
-    with browser(tmp_path_factory.mktemp("window")) as window:
-        yield window
 
 
 @pytest.mark.parametrize("path", PATHS)

@@ -97,11 +97,7 @@ class _Forms:
                 raise ConfigurationError(why)
             moves = await self._moves(task)
         except ConfigurationError as error:
-            ui.notify(
-                str(error),
-                type="negative",
-                timeout=8000,
-            )
+            _refused(error)
             return
         with ui.dialog() as dialog, ui.card().classes("confirm"):
             ui.label("The arm will move" if task.parameters else task.title).classes("title")
@@ -170,11 +166,7 @@ class _Forms:
                 settings,
             )
         except ConfigurationError as error:
-            ui.notify(
-                str(error),
-                type="negative",
-                timeout=8000,
-            )
+            _refused(error)
             return
         if before:
             call.then = lambda: self._pendant.put_back(before)
@@ -235,3 +227,8 @@ class _Progress:
             self._answer.set_content("" if call.under_way else answer(call))
             self._command.set_text(call.command)
             self._report.set_visibility(not call.under_way and report_of(call) is not None)
+
+
+def _refused(error: ConfigurationError) -> None:
+    """Say why nothing begins, for as long as it takes to read."""
+    ui.notify(str(error), type="negative", timeout=8000)
