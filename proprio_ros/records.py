@@ -322,7 +322,7 @@ class Run:
     delivered: Quantity | None = None
 
     @property
-    def free(self) -> bool:
+    def is_free_response(self) -> bool:
         """Whether it is a free response: nothing but gravity and friction moves the joint."""
         return self.source == TORQUE_OFF
 

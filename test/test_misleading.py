@@ -146,7 +146,7 @@ def test_what_a_calibration_knows_together_is_looked_at_together(bags: Path, rob
         runs,
         PayloadFacts(),
         _options(),
-        Role.FREE,
+        Role.ESTIMATED,
     )
     name = "payload_mass"
     assert Assessment(found, name).far_from_priors() == []

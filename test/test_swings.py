@@ -105,7 +105,7 @@ def test_a_swing_begins_after_the_servo_let_go_and_ends_where_it_hangs(
         recording(stamps, position, 0.1),
         joints=["pivot"],
     )
-    assert run.free and not run.input_current_A.any() and not len(run.before_times_s)
+    assert run.is_free_response and not run.input_current_A.any() and not len(run.before_times_s)
     began_s = 1e-9 * (run.onset_ns - START_NS)
     assert 0.1 + RELEASE_S <= began_s < 0.1 + RELEASE_S + 0.02
     # the second half of the recording hangs still and would only say where friction holds it
@@ -124,12 +124,12 @@ def test_a_holding_current_that_ends_is_a_swing_only_where_torque_is_said_to_be_
         recording(stamps, position, 0.1, held),
         joints=["pivot"],
     )
-    assert swing.free
+    assert swing.is_free_response
     (probe,) = cut_runs(
         recording(stamps, position, None, held),
         joints=["pivot"],
     )
-    assert not probe.free and probe.input_current_A[0] == 0.4
+    assert not probe.is_free_response and probe.input_current_A[0] == 0.4
 
 
 def test_the_rest_after_a_probe_is_no_swing_though_torque_goes_off_later() -> None:
@@ -145,7 +145,7 @@ def test_the_rest_after_a_probe_is_no_swing_though_torque_goes_off_later() -> No
         recording(stamps, position, 2.0, driven),
         joints=["pivot"],
     )
-    assert not run.free and run.duration_s == pytest.approx(0.6)
+    assert not run.is_free_response and run.duration_s == pytest.approx(0.6)
 
 
 def test_a_swing_ends_before_torque_comes_back(swings: list[tuple[np.ndarray, np.ndarray]]) -> None:
@@ -183,12 +183,13 @@ def test_a_current_that_catches_the_joint_is_no_probe(
         replace(caught, torque_off_ns=off),
         joints=["pivot"],
     )
-    assert run.free
+    assert run.is_free_response
     later = recording(
         stamps, position, 0.1, current([0.0, 0.05, 0.1, 0.9, 1.05], [0.0, 0.01, 0.0, 0.4, 0.0])
     )
     assert not any(
-        run.free for run in cut_runs(replace(later, torque_off_ns=off), joints=["pivot"])
+        run.is_free_response
+        for run in cut_runs(replace(later, torque_off_ns=off), joints=["pivot"])
     )
 
 
@@ -284,7 +285,7 @@ def test_a_bag_says_when_torque_is_off(
     )
     assert (
         check.usable == 1
-        and check.runs[0].free
+        and check.runs[0].is_free_response
         and check.as_json()["runs"][0]["free_swing"] is True
     )
     assert "gravity moment over inertia, without any torque constant" in check.as_text()

@@ -257,7 +257,7 @@ class ExcitationMachine:
                     self.guards,
                     words,
                 )
-            if run.free:
+            if run.is_free_response:
                 words = f"{words} cannot swing freely"
                 check_free_response(
                     run,
@@ -303,7 +303,7 @@ class ExcitationMachine:
         if problem.ended_by == "stale":
             return self._pause_contained(problem)
         run = self._run
-        swings = self.phase is Phase.PROBE and run.free
+        swings = self.phase is Phase.PROBE and run.is_free_response
         if not swings or problem.ended_by not in CAUGHT_AFTER:
             return False
         slow = self._speed(run.joint) <= self.guards.max_velocity_rad_s
@@ -485,7 +485,7 @@ class ExcitationMachine:
         return None
 
     def _remedy(self, velocity: float) -> str:
-        if self._run.free:
+        if self._run.is_free_response:
             return (
                 "is the hand empty, and the base level? let it swing from nearer to where it hangs"
             )
@@ -546,7 +546,7 @@ class ExcitationMachine:
 
     def _pushed_how(self) -> str:
         run = self._run
-        if run.free:
+        if run.is_free_response:
             return "swings freely"
         if run.goal_step:
             return f"is pushed by a goal {run.goal_step:+.3g} {self._unit} away"
@@ -587,7 +587,7 @@ class ExcitationMachine:
             self._run_pose = dict(self._goals)
             self._onset_position = self._sample.position[run.joint]
             self._travel = 0.0
-            if run.free:
+            if run.is_free_response:
                 whole = self.ways.whole(self.ways.pose(self._sample))
                 self._swing = free_swing(self.robot, run.joint, whole)
             self._enter(Phase.PROBE)
@@ -605,7 +605,7 @@ class ExcitationMachine:
         self._travel = max(self._travel, travel)
         # the nearest tick
         elapsed_s = self._elapsed_s + _ROUNDING_S + 0.5 * self._tick_s
-        end = self._catch if run.free else self._brake
+        end = self._catch if run.is_free_response else self._brake
         if self._travel >= run.max_travel:
             end("travel")
         elif elapsed_s >= run.duration_s:
@@ -728,7 +728,7 @@ class ExcitationMachine:
         held = {name: goal for name, goal in self._goals.items() if name != joint}
         if run.goal_step:
             return Command(held, stepped={joint: self._goals[joint] + run.goal_step})
-        if run.free:
+        if run.is_free_response:
             swinging = self.phase is Phase.PROBE
             return Command(held, {joint: self._let_go_A() if swinging else self._catching_A()})
         # the wave changes, like the run ends, at the nearest tick; a pause before the onset is none of it

@@ -74,7 +74,7 @@ class ExcitationRun:
     goal_step: float = 0.0
 
     @property
-    def free(self) -> bool:
+    def is_free_response(self) -> bool:
         """Whether the joint is let go of: nothing but gravity and friction moves it."""
         return self.current_A == 0.0 and self.shake_A == 0.0 and self.goal_step == 0.0
 
@@ -257,7 +257,7 @@ def _of_sequence(sequence: ExcitationSequence, robot: Robot) -> Iterator[str]:
         pose |= run.start
         for words in _of_run_from(run, pose, sequence, robot):
             yield f"run {number} ({run.joint}): {words}"
-    swings = [run.free for run in sequence.runs]
+    swings = [run.is_free_response for run in sequence.runs]
     if any(swings) and not all(swings):
         others = "others are driven by a current"
         why = "what they tell is not computed together; make a sequence of each"
@@ -308,7 +308,7 @@ def _of_until(until: Until, sequence: ExcitationSequence) -> Iterator[str]:
         yield "what else to push with an empty hand follows from what the first runs say; state some under 'runs'"
     if sequence.hand == "block" and not sequence.runs:
         yield "with which current to squeeze a block follows from the first squeeze; state it under 'runs'"
-    if any(run.free for run in sequence.runs):
+    if any(run.is_free_response for run in sequence.runs):
         yield "free swings are not chosen; leave `until` out"
 
 
@@ -320,9 +320,9 @@ def _of_run(run: ExcitationRun, robot: Robot) -> Iterator[str]:
         yield f"duration_s={run.duration_s:g} must be above 0 s, and 60 s at most"
     if not 0.0 <= run.min_travel < run.max_travel:
         yield f"min_travel={run.min_travel:g} must not be negative, and below max_travel={run.max_travel:g}"
-    if run.free and run.max_current_A:
+    if run.is_free_response and run.max_current_A:
         yield f"{_SWINGS} has no max_current_A"
-    elif run.free and robot.model.joint(run.joint).kind == "prismatic":
+    elif run.is_free_response and robot.model.joint(run.joint).kind == "prismatic":
         yield f"{_SWINGS} needs a joint that turns, and {run.joint} slides"
     if not (0.0 < run.raise_by <= 0.95 or 1.05 <= run.raise_by < 10.0):
         yield f"raise_by={run.raise_by:g} must be 1.05 or more to raise the current, or 0 to 0.95 to ease it"

@@ -114,14 +114,14 @@ def _known_after(
     runs: Sequence[int],
 ) -> tuple[list[Key], np.ndarray]:
     """Keys and precision of the unknowns that some runs touch, after them; dq (R, T, F), alive (R, T)."""
-    free = [problem.unknowns[row] for row in problem.free]
-    own = [f for f, u in enumerate(free) if u.shared or u.scope in runs]
+    estimated = problem.estimated_unknowns()
+    own = [f for f, u in enumerate(estimated) if u.shared or u.scope in runs]
     precision = problem.coordinates.prior_precision[np.ix_(own, own)].copy()
     for r in runs:
         weight = problem.weight[r][: alive.shape[1]][alive[r]]
         rows = dq[r][alive[r]][:, own] * weight[:, None]
         precision += rows.T @ rows
-    return [free[f].key for f in own], precision
+    return [estimated[f].key for f in own], precision
 
 
 def plan(
@@ -350,9 +350,9 @@ def weighable(robot: Robot, joints: Sequence[str]) -> Weighable | None:
         return None
     weighings = [each for joint in chosen for each in best[joint].values()]
     prepared = [each.run for each in weighings]
-    unknowns = load_unknowns(robot, prepared, facts, Role.FREE, TYPICAL_KG)
+    unknowns = load_unknowns(robot, prepared, facts, Role.ESTIMATED, TYPICAL_KG)
     problem = Problem(robot, prepared, facts, unknowns)
-    _, _, dq = problem.simulate(problem.base[None], problem.free)
+    _, _, dq = problem.simulate(problem.base[None], problem.estimated)
     alive = np.array([each.alive for each in weighings])
     known = _known_after(problem, dq[0], alive, range(len(weighings)))
     return Weighable(
@@ -435,7 +435,7 @@ def _candidates(
         return None
     problem, values = _guesses(robot, masses, facts, load, prepared)
     with np.errstate(over="ignore", invalid="ignore"):
-        q, v, dq = problem.simulate(values, problem.free)
+        q, v, dq = problem.simulate(values, problem.estimated)
     alive = np.isfinite(q) & np.isfinite(dq).all(axis=3)
     alive &= np.abs(v) < robot.drive_trains[joint].usable_velocity
     alive = np.cumprod(alive, axis=2).astype(bool)
@@ -466,9 +466,9 @@ def _guesses(
 ) -> tuple[Problem, np.ndarray]:
     """The runs as a problem, and its unknowns with each mass in the hand, shape (S, N); see ``_candidates``."""
     if load is None:
-        unknowns = load_unknowns(robot, prepared, facts, Role.FREE, float(masses[0]))
+        unknowns = load_unknowns(robot, prepared, facts, Role.ESTIMATED, float(masses[0]))
     else:
-        unknowns = robot_unknowns(robot, prepared, Role.FREE)
+        unknowns = robot_unknowns(robot, prepared, Role.ESTIMATED)
     problem = Problem(robot, prepared, facts, unknowns)
     values = np.tile(problem.base, (len(masses), 1))
     if load is None:

@@ -23,9 +23,9 @@ class SharedUnknowns:
     """
 
     def __init__(self, problem: Problem) -> None:
-        free = [problem.unknowns[row] for row in problem.free]
-        shared = [f for f, unknown in enumerate(free) if unknown.shared]
-        self.keys: list[Key] = [free[f].key for f in shared]
+        estimated = problem.estimated_unknowns()
+        shared = [f for f, unknown in enumerate(estimated) if unknown.shared]
+        self.keys: list[Key] = [estimated[f].key for f in shared]
         self.at = {key: place for place, key in enumerate(self.keys)}
         # precision, shape (F, F)
         self.prior = problem.coordinates.prior_precision[np.ix_(shared, shared)].copy()
@@ -38,7 +38,7 @@ class SharedUnknowns:
             their priors, shape (R, O).
         """
         own: list[list[int]] = [[] for _ in problem.runs]
-        for row in problem.free.tolist():
+        for row in problem.estimated.tolist():
             if isinstance(run := problem.unknowns[row].scope, int):
                 own[run].append(row)
         shared = [problem.index.get(key, 0) for key in self.keys]
@@ -53,9 +53,9 @@ class SharedUnknowns:
             fit.values,
             1.0 if fit.explains else max(1.0, fit.reduced_chi2),
         )
-        free = [problem.unknowns[row] for row in problem.free]
-        shared = [f for f, u in enumerate(free) if u.key in self.at]
-        own = [f for f, u in enumerate(free) if u.key not in self.at]
+        estimated = problem.estimated_unknowns()
+        shared = [f for f, u in enumerate(estimated) if u.key in self.at]
+        own = [f for f, u in enumerate(estimated) if u.key not in self.at]
         normal = posterior.sensitivity.T @ posterior.sensitivity
         block = np.ix_(own, own)
         within = normal[block] + problem.coordinates.prior_precision[block]
@@ -63,7 +63,7 @@ class SharedUnknowns:
         taken = across @ np.linalg.solve(within, across.T)
         information = normal[np.ix_(shared, shared)] - taken
         total = self.prior.copy()
-        to = [self.at[free[f].key] for f in shared]
+        to = [self.at[estimated[f].key] for f in shared]
         total[np.ix_(to, to)] += information
         return scaled_inverse(total)
 

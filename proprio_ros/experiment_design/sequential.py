@@ -212,7 +212,7 @@ class Catalogue:
         self._places = [place for joint in self.joints for place in self._places_of(joint)]
 
     def _unknowns(self, runs: Sequence[PreparedRun]) -> list:
-        return load_unknowns(self.robot, runs, self.facts, Role.FREE, 0.03)
+        return load_unknowns(self.robot, runs, self.facts, Role.ESTIMATED, 0.03)
 
     def _still(self, joint: str, pose: Mapping[str, float]) -> PreparedRun:
         return prepare_run(
@@ -319,7 +319,7 @@ class Catalogue:
             usable,
             self.facts,
             SearchOptions(),
-            Role.FREE,
+            Role.ESTIMATED,
             start=start,
             rough=True,
         )

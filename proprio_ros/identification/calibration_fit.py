@@ -95,7 +95,7 @@ def fit(robot: Robot, runs: Sequence[PreparedRun]) -> Fitted:
         robot.onset_jitter_s,
         robot.friction_spread,
     )
-    swings = runs[0].run.free
+    swings = runs[0].run.is_free_response
     if swings:
         noise = replace(noise, swing_error=FIRST_SWING_ERROR)
     problem = _problem(robot, runs, noise)
@@ -112,7 +112,7 @@ def fit(robot: Robot, runs: Sequence[PreparedRun]) -> Fitted:
         before = noise
         noise = (_swing_evidence if swings else _evidence)(robot, problem, posterior, noise)
         problem = _problem(robot, runs, noise)
-        start = problem.coordinates.internal(values[problem.free][None])
+        start = problem.coordinates.internal(values[problem.estimated][None])
         values = FitResult.of(
             problem,
             solvers.levenberg_marquardt(problem, start, None, iterations=again_most),
@@ -155,12 +155,12 @@ def foretold(
             for u in problem.unknowns
         ]
     )
-    free = [problem.unknowns[row] for row in problem.free]
-    learnt = [before.unknowns[row].key for row in before.free]
-    known = np.diag([u.std**2 for u in free])
-    places = [column for column, u in enumerate(free) if u.key in learnt]
+    estimated = problem.estimated_unknowns()
+    learnt = [before.unknowns[row].key for row in before.estimated]
+    known = np.diag([u.std**2 for u in estimated])
+    places = [column for column, u in enumerate(estimated) if u.key in learnt]
     known[np.ix_(places, places)] = fitted.covariance[
-        np.ix_(*2 * [[learnt.index(free[column].key) for column in places]])
+        np.ix_(*2 * [[learnt.index(estimated[column].key) for column in places]])
     ]
     posterior = Posterior(problem, values)
     own = posterior.run == len(before.runs)
@@ -179,7 +179,7 @@ def _problem(robot: Robot, runs: Sequence[PreparedRun], noise: Noise) -> Problem
     )
     robot = replace(robot, **{name: getattr(noise, name) for name in expected})
     sigmas = [np.hypot(*_noise_parts(run, noise)) for run in runs]
-    if runs[0].run.free:
+    if runs[0].run.is_free_response:
         sigmas = [np.hypot(sigma, noise.swing_error) for sigma in sigmas]
     pairs = zip(runs, sigmas, strict=True)
     noisy = [replace(run, sigma=sigma) for run, sigma in pairs]
@@ -187,7 +187,7 @@ def _problem(robot: Robot, runs: Sequence[PreparedRun], noise: Noise) -> Problem
         robot,
         noisy,
         PayloadFacts(),
-        robot_unknowns(robot, runs, Role.FREE),
+        robot_unknowns(robot, runs, Role.ESTIMATED),
     )
 
 
@@ -200,10 +200,10 @@ def _starts(problem: Problem) -> np.ndarray:
     """Solver coordinates to start from: the file's values at a few levels of friction, shape (S, F)."""
     coordinates = problem.coordinates
     levels: Sequence[float] = FRICTION_STARTS
-    if problem.runs[0].run.free:
+    if problem.runs[0].run.is_free_response:
         p, _ = problem.parameters(
             problem.base[None],
-            problem.free[:1],
+            problem.estimated[:1],
         )
         largest = float(
             np.hypot(
@@ -213,7 +213,7 @@ def _starts(problem: Problem) -> np.ndarray:
         )
         levels = [share * largest for share in SWING_FRICTION_STARTS]
     starts = np.tile(coordinates.prior_mean, (len(levels), 1))
-    for column, row in enumerate(problem.free):
+    for column, row in enumerate(problem.estimated):
         unknown = problem.unknowns[row]
         if unknown.kind == "coulomb" and unknown.value < min(levels):
             starts[:, column] = np.minimum(
@@ -230,7 +230,7 @@ def with_another_rise(fitted: Fitted) -> Fitted:
     terms up to one standard deviation higher, and by what the others change they are uncertain, together with that term.
     """
     covariance = fitted.covariance.copy()
-    for column, row in enumerate(fitted.problem.free):
+    for column, row in enumerate(fitted.problem.estimated):
         if fitted.problem.unknowns[row].kind in RISE:
             follows = _follows(fitted, column)
             covariance += np.outer(follows, follows)
@@ -239,11 +239,11 @@ def with_another_rise(fitted: Fitted) -> Fitted:
 
 
 def _follows(fitted: Fitted, column: int) -> np.ndarray:
-    """By how much each free unknown changes with one standard deviation of a term of the rise, shape (F,)."""
+    """By how much each estimated unknown changes with one standard deviation of a term of the rise, shape (F,)."""
     problem = fitted.problem
-    row = problem.free[column]
+    row = problem.estimated[column]
     kept = problem.unknowns[row]
-    first = fitted.values[problem.free]
+    first = fitted.values[problem.estimated]
     follows = np.zeros_like(first)
     follows[column] = kept.std
     now = first.copy()
@@ -392,11 +392,11 @@ def of_runs(
         for row, std in stds.items()
         if std > 0.0 and (kind != "onset" or std == problem.robot.onset_jitter_s)
     ]
-    place = problem.free.tolist()
+    place = problem.estimated.tolist()
     columns = [place.index(problem.index[kind, row]) for row in rows]
     priors = np.square([stds[row] for row in rows])
     learnt = 1.0 - np.diag(posterior.covariance)[columns] / priors
-    return rows, posterior.values[problem.free[columns]], learnt
+    return rows, posterior.values[problem.estimated[columns]], learnt
 
 
 def spread_of_runs(file_std: float, found: np.ndarray, learnt: np.ndarray) -> float:

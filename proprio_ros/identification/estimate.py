@@ -329,7 +329,7 @@ class UnknownRow(Tag):
     @property
     def pull(self) -> float | None:
         """How many of the prior's standard deviations the value lies from it; None: no prior, or not fitted."""
-        if self.role != Role.FREE.value or not 0.0 < self.prior_std < np.inf:
+        if self.role != Role.ESTIMATED.value or not 0.0 < self.prior_std < np.inf:
             return None
         return (self.value - self.prior) / self.prior_std
 

@@ -110,7 +110,7 @@ class FitResult:
         """The best of a solution's starts."""
         best = solution.internal[solution.best]
         values = problem.all_values(problem.coordinates.physical(best[None]))[0]
-        without_prior = sum(not np.isfinite(problem.unknowns[row].std) for row in problem.free)
+        without_prior = sum(not np.isfinite(problem.unknowns[row].std) for row in problem.estimated)
         dof = max(problem.samples - without_prior, 1)
         return cls(
             problem,
@@ -143,15 +143,15 @@ class FitResult:
         )
 
     def column(self, name: str) -> int:
-        """Place of an unknown among the free ones."""
-        return list(self.problem.free).index(self.problem.index[name])
+        """Place of an unknown among the estimated ones."""
+        return self.problem.column_of(name)
 
     def physical(
         self,
         name: str,
         internal: np.ndarray | None = None,
     ) -> np.ndarray:
-        """A free unknown at every start's end, shape (S,), or at other solver coordinates of shape (..., F)."""
+        """An estimated unknown at every start's end, shape (S,), or at other solver coordinates of shape (..., F)."""
         given = self.solution.internal if internal is None else internal
         return self.problem.coordinates.physical(given)[..., self.column(name)]
 
@@ -227,7 +227,7 @@ def solve_load(
     """
     problem, starts = first_problem(robot, runs, facts, options, role, start_velocity_std)
     if start is not None:
-        starts = problem.coordinates.internal(start.values[problem.free][None])
+        starts = problem.coordinates.internal(start.values[problem.estimated][None])
     if options.solver == "lm" or start is not None:
         windows = problem.simulator.windows if start is None else None
         iterations, tolerance = (10, 0.03) if rough else (30, 1e-4)
@@ -260,10 +260,10 @@ def fit_both(
     ``solve`` takes a role for what is open, and a fit to start from (``start``), default every start; ``again`` says of both fits
     whether the second is to be tried from every start, too: then the better one counts.
     """
-    nominal = solve(Role.FROZEN)
-    opened = solve(Role.FREE, start=nominal)
+    nominal = solve(Role.FIXED)
+    opened = solve(Role.ESTIMATED, start=nominal)
     if again(nominal, opened):
-        other = solve(Role.FREE)
+        other = solve(Role.ESTIMATED)
         opened = other if other.chi2 < opened.chi2 else opened
     return nominal, opened
 
@@ -275,7 +275,7 @@ def unexplained(_: FitResult, opened: FitResult) -> bool:
 
 def fit_opened(solve: Callable[..., FitResult]) -> FitResult:
     """The second fit of `fit_both`, from the first one alone."""
-    return solve(Role.FREE, start=solve(Role.FROZEN))
+    return solve(Role.ESTIMATED, start=solve(Role.FIXED))
 
 
 def uncalibrated(
@@ -333,11 +333,11 @@ def error_budget(
     at = problem.index[name]
     calibration = problem.robot.calibration
     correlated = set() if calibration is None else set(calibration.names)
-    row = covariance[at, problem.free]
+    row = covariance[at, problem.estimated]
     pulled = problem.coordinates.prior_precision @ row
     parts: dict[str, float] = {}
     groups: dict[str, list[int]] = {}
-    for place, column in enumerate(problem.free):
+    for place, column in enumerate(problem.estimated):
         unknown = problem.unknowns[column]
         if unknown.name in correlated:
             part = f"{CALIBRATION}: {CALIBRATED.get(unknown.kind, 'arm masses')}"
@@ -364,7 +364,7 @@ def _split(
 
     A group's share is what knowing it would take from the variance, on average over all orders in which the groups become known
     (Shapley effects, Owen 2014, SIAM/ASA J. Uncertainty Quantification 2(1)): no share is negative, and they add up. ``row`` (F,)
-    is the covariance of the result with each free unknown, ``precision`` (F, F) that of their prior.
+    is the covariance of the result with each estimated unknown, ``precision`` (F, F) that of their prior.
     """
     names = list(groups)
     every = [place for places in groups.values() for place in places]
@@ -519,7 +519,7 @@ def unknown_rows(fit: FitResult, covariance: np.ndarray) -> tuple[UnknownRow, ..
 
 
 class _Held:
-    """A problem whose free unknown in one column stays where each guess has it.
+    """A problem whose estimated unknown in one column stays where each guess has it.
 
     ``inflation`` is a factor on the variance of the samples, while the priors stay as narrow as they are; whatever it is, ``best``
     (F,) stay the best values.
@@ -591,7 +591,7 @@ def misfit_profile(
     own = float(posterior.covariance[column, column])
     if not np.isfinite([fit.chi2, best, value, std, own]).all() or own <= 0.0:
         return Scan(np.zeros(0), np.zeros(0), PROFILE, CHI2_95)
-    at = fit.values[problem.free]
+    at = fit.values[problem.estimated]
     held = _Held(problem, column, inflation, at)
     unknown = problem.unknowns[problem.index[name]]
     step = (_profile_ends(unknown, best, value, std) - best) / PROFILE_STEPS

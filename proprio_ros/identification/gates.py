@@ -112,7 +112,7 @@ def unusable(run: PreparedRun) -> str:
             "few_samples",
             f"only {run.used} usable samples, because {why}",
         )
-    jump = "" if run.run.free else held_jump(run)
+    jump = "" if run.run.is_free_response else held_jump(run)
     if jump:
         return jumped(jump)
     if abs(run.travel) < STUCK_TRAVEL:
@@ -324,7 +324,7 @@ def of_another_value(posterior: Posterior, name: str) -> int | None:
     from run to run takes the difference up, and yet it is that of two objects. Runs whose load is known are not asked.
     """
     problem = posterior.problem
-    column = problem.free.tolist().index(problem.index[name])
+    column = problem.column_of(name)
     unknown = [row for row, run in enumerate(problem.runs) if run.load is None]
     if len(unknown) < 2:
         return None

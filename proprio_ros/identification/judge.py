@@ -237,12 +237,12 @@ class Assessment:
 
         The posterior's mean moves by C P with the prior's: C the covariance, P the precision of the prior.
         """
-        if not self.known or self.runs[0].run.free:
+        if not self.known or self.runs[0].run.is_free_response:
             return {}
         problem = self.opened.problem
         column = self.opened.column(self.name)
         moved = problem.coordinates.prior_precision @ self.posterior.covariance[:, column]  # (F,)
-        zeros = [(f, problem.unknowns[row]) for f, row in enumerate(problem.free)]
+        zeros = [(f, problem.unknowns[row]) for f, row in enumerate(problem.estimated)]
         zeros = [(f, u) for f, u in zeros if u.kind == "zero"]
         return {str(u.scope): float(moved[f]) for f, u in zeros}
 
@@ -305,7 +305,7 @@ class Assessment:
         problem = self.opened.problem
         covariance = Posterior(problem, self.opened.values).covariance
         found = []
-        for column, row in enumerate(problem.free):
+        for column, row in enumerate(problem.estimated):
             unknown = problem.unknowns[row]
             learnt = unknown.std**2 - float(covariance[column, column])
             if unknown.kind != "zero" or learnt < LEAST_LEARNT * unknown.std**2:
@@ -353,11 +353,13 @@ class Assessment:
             return []
         keys = set(calibration.keys)
         own = [
-            column for column, row in enumerate(problem.free) if problem.unknowns[row].key in keys
+            column
+            for column, row in enumerate(problem.estimated)
+            if problem.unknowns[row].key in keys
         ]
         block = np.ix_(own, own)
         precision = problem.coordinates.prior_precision[block]
-        off = self.opened.values[problem.free[own]] - problem.coordinates.prior_mean[own]
+        off = self.opened.values[problem.estimated[own]] - problem.coordinates.prior_mean[own]
         # with a right model, the distance squared is on average the number of directions that the recording has determined
         learnt = max(
             len(own) - float(np.sum(precision * self.posterior.covariance[block])),

@@ -14,13 +14,13 @@ from proprio_ros.identification.solvers import bounded_step
 
 
 class Posterior:
-    """Gauss-Newton posterior of a problem's free unknowns at given values of all, shape (N,).
+    """Gauss-Newton posterior of a problem's estimated unknowns at given values of all, shape (N,).
 
     ``inflation`` is a factor on the encoder's variance; the priors stay.
 
     Attributes:
         residual: Whitened, shape (M,); sensitivity: whitened, shape (M, F); run: which run each sample is of, shape (M,).
-        covariance: Of the free unknowns in physical units, shape (F, F).
+        covariance: Of the estimated unknowns in physical units, shape (F, F).
         condition: Of the normal matrix scaled to a unit diagonal.
     """
 
@@ -32,7 +32,7 @@ class Posterior:
     ) -> None:
         self.problem = problem
         self.values = values
-        q, v, dq = problem.simulate(values[None], problem.free)
+        q, v, dq = problem.simulate(values[None], problem.estimated)
         seen = problem.weight > 0.0
         weight = problem.weight[seen] / np.sqrt(inflation)
         self.residual = (problem.measured - q[0])[seen] * weight
@@ -60,7 +60,7 @@ class Posterior:
         others contradict.
         """
         coordinates = self.problem.coordinates
-        internal = coordinates.internal(self.values[self.problem.free])[None]
+        internal = coordinates.internal(self.values[self.problem.estimated])[None]
         _, downhill, matrix = self.problem.linearise(internal)
         return (
             bounded_step(
@@ -76,23 +76,23 @@ class Posterior:
     def whole_covariance(self) -> np.ndarray:
         """Covariance of all unknowns, shape (N, N); zero where an unknown is not free."""
         covariance = np.zeros((len(self.problem.unknowns),) * 2)
-        covariance[np.ix_(self.problem.free, self.problem.free)] = self.covariance
+        covariance[np.ix_(self.problem.estimated, self.problem.estimated)] = self.covariance
         return covariance
 
     def follows(self, name: str, others: Sequence[str]) -> np.ndarray:
-        """By how much a free unknown would follow others that were taken as known, to first order: per unit of each, shape (K,)."""
+        """By how much an estimated unknown would follow, per unit of each of others taken as known, to first order, shape (K,)."""
         problem = self.problem
         _, _, dq = problem.simulate(
             self.values[None],
             np.array([problem.index[other] for other in others]),
         )
         by_others = dq[0][problem.weight > 0.0] * self._weight[:, None]
-        place = list(problem.free).index(problem.index[name])
+        place = problem.column_of(name)
         followed: np.ndarray = -(self.covariance @ self.sensitivity.T @ by_others)[place]
         return followed
 
     def follows_clock(self, name: str) -> float:
-        """By how much a free unknown would follow stamps that run fast, to first order, per unit of relative pace.
+        """By how much an estimated unknown would follow stamps that run fast, to first order, per unit of relative pace.
 
         A sample that is stamped (1 + e) t was taken at t, where the joint was v t e behind.
         """
@@ -100,7 +100,7 @@ class Posterior:
             [run.times_s for run in self.problem.runs]
         )  # since each onset, (M,)
         behind = -self.velocity * times_s * self._weight  # (M,)
-        place = list(self.problem.free).index(self.problem.index[name])
+        place = self.problem.column_of(name)
         return float(self.covariance[place] @ (self.sensitivity.T @ behind))
 
     def leverage(self) -> np.ndarray:
@@ -141,7 +141,7 @@ def run_fits(
     """
     q, _, _ = problem.simulate(
         values[None],
-        problem.free[:3],
+        problem.estimated[:3],
     )
     fits = []
     squares = 0.0

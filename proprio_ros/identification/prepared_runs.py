@@ -202,7 +202,7 @@ def prepare_run(
     followed = _followed(run, velocity, drive)
     lower = joint.lower / drive.transmission
     upper = joint.upper / drive.transmission
-    counted = np.ones_like(followed) if past_fast or run.free else followed
+    counted = np.ones_like(followed) if past_fast or run.is_free_response else followed
     used, reason = _usable_window(run, velocity, counted, drive, lower, upper)
     yielding_times_s = yielding_load = None
     if motions:
@@ -211,7 +211,7 @@ def prepare_run(
             robot, run, motions, where, drive.reading_std
         )
     arm_as_payload = 0.0
-    if run.free and coefficients.payload.any():
+    if run.is_free_response and coefficients.payload.any():
         facts_of_it = (
             load.facts if load is not None and load.mass > 0.0 else facts or PayloadFacts()
         )
@@ -226,7 +226,7 @@ def prepare_run(
         coefficients,
         _sigma(robot, run, velocity[:used]),
         _rest(robot, run, drive),
-        limited=not run.free and not followed[1:used].all(),
+        limited=not run.is_free_response and not followed[1:used].all(),
         load=load,
         yielding_times_s=yielding_times_s,
         yielding_load=yielding_load,
@@ -253,7 +253,9 @@ def _reduced(
     if robot.model.joint(run.joint).kind == "prismatic":
         return run, slide_coefficients(robot, run), {}
     coefficients = arm_coefficients(robot, run, others)
-    stood, motions = ({}, {}) if run.free else locked_motions(robot, run, coefficients.pose)
+    stood, motions = (
+        ({}, {}) if run.is_free_response else locked_motions(robot, run, coefficients.pose)
+    )
     # the recorded mean counts a slip on the way to where a joint was held
     if any(stood[name] != run.held[name] for name in stood):
         run = replace(run, held={**run.held, **stood})
@@ -273,12 +275,14 @@ def _sigma(robot: Robot, run: Run, velocity: np.ndarray) -> np.ndarray:
         )
     reading = robot.residual_scale * robot.drive_trains[run.joint].reading_std
     sigma: np.ndarray = np.hypot(reading, velocity * jitter)
-    return np.hypot(sigma, robot.swing_error or FIRST_SWING_ERROR) if run.free else sigma
+    return (
+        np.hypot(sigma, robot.swing_error or FIRST_SWING_ERROR) if run.is_free_response else sigma
+    )
 
 
 def _rest(robot: Robot, run: Run, drive: DriveTrain) -> Quantity:
     """Where the joint was before the onset; of a free swing, where it begins."""
-    if run.free:
+    if run.is_free_response:
         return Quantity(float(run.position[0]), START_STD)
     resting = run.before_position[rests_from(run.before_times_s, run.before_position, drive) :]
     if len(resting) == 0:
@@ -348,7 +352,11 @@ def _steadied(run: Run, drive: DriveTrain) -> tuple[Run, float]:
     A command that scatters from row to row while the motor reports a steady current was recorded with an error of its own in every
     row. A run without efforts, or whose effort follows, comes back as it is, with 0.
     """
-    if run.free or run.reported_effort is None or len(run.input_current_A) < FEWEST_NOISY:
+    if (
+        run.is_free_response
+        or run.reported_effort is None
+        or len(run.input_current_A) < FEWEST_NOISY
+    ):
         return run, 0.0
     at = np.searchsorted(run.input_times_s, run.times_s, side="right") - 1
     command = run.input_current_A[at.clip(0)]

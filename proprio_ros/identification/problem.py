@@ -136,10 +136,11 @@ class Problem:
         self.integrator = integrator
         self.unknowns = tuple(unknowns)
         self.index: dict[Key, int] = {u.key: row for row, u in enumerate(unknowns)}
-        rows = [row for row, u in enumerate(unknowns) if u.role is Role.FREE]
-        self.free = np.array(rows)
-        free = self._free_unknowns()
-        self.coordinates = Coordinates(free, _known_together(robot, runs, free))
+        rows = [row for row, u in enumerate(unknowns) if u.role is Role.ESTIMATED]
+        self.estimated = np.array(rows)
+        """Rows of the unknowns that the solver moves, shape (F,)."""
+        moved = self.estimated_unknowns()
+        self.coordinates = Coordinates(moved, _known_together(robot, runs, moved))
         self.base = np.array([u.value for u in unknowns])
         self.simulator = self.simulator_of(
             [self._joint_run(run, step_s) for run in runs],
@@ -148,7 +149,7 @@ class Problem:
         self.measured, self.weight = self._observations()
         self._ripple = [self._ripple_rows(run) for run in self.runs]
         seen = [row for pair in self._ripple for row in pair if row >= 0]
-        open_ripple = any(u.kind in RIPPLE_TERMS for u in free)
+        open_ripple = any(u.kind in RIPPLE_TERMS for u in moved)
         self.ripples = open_ripple or bool(self.base[seen].any())
         """Whether any encoder has a once-per-turn error."""
         self._affine = self.is_affine()
@@ -165,8 +166,8 @@ class Problem:
         return JointSimulator(runs, integrator)
 
     def is_affine(self) -> bool:
-        """Whether the simulator's parameters are affine in the free unknowns: then their tangents need no guess."""
-        kinds = {u.kind for u in self._free_unknowns()}
+        """Whether the simulator's parameters are affine in the estimated unknowns: then their tangents need no guess."""
+        kinds = {u.kind for u in self.estimated_unknowns()}
         return kinds.isdisjoint(_BEND_THE_PARAMETERS) and not kinds.issuperset(
             {"torque_constant", "disturbance"}
         )
@@ -178,7 +179,7 @@ class Problem:
         if unknown.kind in PAYLOAD_TERMS:
             return run.load is None
         kept = unknown.kind in KEPT_IN_A_SWING and owner == run.run.joint
-        if run.run.free and (kept or unknown.kind in NOT_IN_A_SWING):
+        if run.run.is_free_response and (kept or unknown.kind in NOT_IN_A_SWING):
             return False
         match KINDS[unknown.kind].of:
             case "run":
@@ -236,8 +237,13 @@ class Problem:
 
     # ------------------------------------------------------------------------------------------------- What the runs are made of
 
-    def _free_unknowns(self) -> list[Unknown]:
-        return [self.unknowns[row] for row in self.free]
+    def estimated_unknowns(self) -> list[Unknown]:
+        """What the solver moves, in its order."""
+        return [self.unknowns[row] for row in self.estimated]
+
+    def column_of(self, key: Key) -> int:
+        """The column of an estimated unknown in gradients and covariances; ValueError: it is fixed."""
+        return self.estimated.tolist().index(self.index[key])
 
     def _observations(self) -> tuple[np.ndarray, np.ndarray]:
         """Measured positions and one over their standard deviations, shape (R, T) each, 0 behind a run's end."""
@@ -251,7 +257,7 @@ class Problem:
 
     def _ripple_rows(self, run: PreparedRun) -> tuple[int, int]:
         """Columns of the unknowns of the encoder's once-per-turn error, -1 where there are none."""
-        if run.run.free:
+        if run.run.is_free_response:
             return -1, -1
         of_cos = self.index.get(("ripple_cos", run.run.joint), -1)
         of_sin = self.index.get(("ripple_sin", run.run.joint), -1)
@@ -265,10 +271,10 @@ class Problem:
 
     @functools.cached_property
     def _touching(self) -> list[np.ndarray]:
-        """Which free unknowns can change anything in each run; of use to a fit only."""
-        free = self._free_unknowns()
+        """Which estimated unknowns can change anything in each run; of use to a fit only."""
+        moved = self.estimated_unknowns()
         return [
-            np.flatnonzero([self.touches(u, row) for u in free]) for row in range(len(self.runs))
+            np.flatnonzero([self.touches(u, row) for u in moved]) for row in range(len(self.runs))
         ]
 
     def _joint_run(self, run: PreparedRun, step_s: float) -> JointRun:
@@ -321,7 +327,7 @@ class Problem:
     def _reach(self, key: Key) -> float:
         """How large an unknown may get during the fit: its value, and two standard deviations more where it moves."""
         unknown = self.unknowns[self.index[key]]
-        return unknown.value + (2.0 * unknown.std if unknown.role is Role.FREE else 0.0)
+        return unknown.value + (2.0 * unknown.std if unknown.role is Role.ESTIMATED else 0.0)
 
     def parameters(
         self,
@@ -348,7 +354,7 @@ class Problem:
         part = self._moving_part(row, values, payload)
         p[:, _GRAVITY_ROWS] = part.load
         dp[:, _GRAVITY_ROWS] = part.by_unknown
-        if run.run.free:
+        if run.run.is_free_response:
             for kind in RISE:
                 column = self.index[kind, run.run.joint]
                 p[:, INDEX[kind]] = self.base[column]
@@ -357,7 +363,7 @@ class Problem:
             p[:, INDEX[parameter]] += values[:, column]
             dp[:, INDEX[parameter], column] = 1.0
         self._disturb(row, p, dp, values)
-        if run.run.free:
+        if run.run.is_free_response:
             self._change_friction(row, p, dp, values)
         elif run.load is None:
             mass = self.index["payload_mass"]
@@ -376,7 +382,7 @@ class Problem:
         direct["onset", row] = "delay"
         direct["q0", row] = "q0"
         direct["v0", row] = "v0"
-        if not self.runs[row].run.free:
+        if not self.runs[row].run.is_free_response:
             return direct
         left_out = (*NOT_IN_A_SWING, *KEPT_IN_A_SWING)
         return {key: to for key, to in direct.items() if to not in left_out}
@@ -408,12 +414,12 @@ class Problem:
             [at[key] for key in coefficients.links],
         )
         zero = at.get(("zero", run.run.joint))
-        if zero is not None and run.run.free:
+        if zero is not None and run.run.is_free_response:
             own = at["swing_zero", row]
             part.turn(self.base[zero] + values[:, own], own)
         elif zero is not None:
             part.turn(values[:, zero], zero)
-        if run.run.free:
+        if run.run.is_free_response:
             change = at["moment_change", row]
             part.scale_gravity(1.0 + values[:, change], change)
         return part
@@ -553,23 +559,23 @@ class Problem:
         q += a * cos + b * sin
         return q, dq
 
-    def all_values(self, free_values: np.ndarray) -> np.ndarray:
-        """Every unknown of each guess, shape (S, N), from the free ones, shape (S, F)."""
-        values = np.tile(self.base, (len(free_values), 1))
-        values[:, self.free] = free_values
+    def all_values(self, estimated_values: np.ndarray) -> np.ndarray:
+        """Every unknown of each guess, shape (S, N), from the estimated ones, shape (S, F)."""
+        values = np.tile(self.base, (len(estimated_values), 1))
+        values[:, self.estimated] = estimated_values
         return values
 
     def kernel_parameters(
         self,
-        free_values: np.ndarray,
+        estimated_values: np.ndarray,
     ) -> tuple[np.ndarray, np.ndarray]:
         """Parameters (W, P) of every world, a guess's runs side by side, and their tangents (W, P, F).
 
-        Where the parameters are affine in what is free, the tangents are one read-only array, which the simulator copies once.
+        Where the parameters are affine in what is estimated, the tangents are one read-only array, which the simulator copies once.
         """
-        guesses = len(free_values)
+        guesses = len(estimated_values)
         if not self._affine:
-            p, dp = self.parameters(self.all_values(free_values), self.free)
+            p, dp = self.parameters(self.all_values(estimated_values), self.estimated)
             p = p.reshape(-1, p.shape[-1])
             return p, dp.reshape(-1, *dp.shape[2:])
         if guesses not in self._affine_maps:
@@ -580,13 +586,13 @@ class Problem:
             )
         offset, tangents = self._affine_maps[guesses]
         slope = tangents[: len(self.runs)]
-        p = offset + np.tensordot(free_values, slope, axes=(1, 2))
+        p = offset + np.tensordot(estimated_values, slope, axes=(1, 2))
         return p.reshape(-1, p.shape[-1]), tangents
 
     def affine_map(self) -> tuple[np.ndarray, np.ndarray]:
-        """Parameters (R, P) where all that is free is 0, and what each of it adds (R, P, F): all there is where they are affine."""
-        origin = self.all_values(np.zeros((1, len(self.free))))
-        p, dp = self.parameters(origin, self.free)
+        """Parameters (R, P) where all estimated unknowns are 0, and what each adds (R, P, F): all there is if they are affine."""
+        origin = self.all_values(np.zeros((1, len(self.estimated))))
+        p, dp = self.parameters(origin, self.estimated)
         return p[0], dp[0]
 
     def worlds(self, guesses: int) -> np.ndarray:
@@ -713,7 +719,7 @@ class Problem:
                     values,
                     shown.copy(),
                     slopes,
-                    self.free[columns],
+                    self.estimated[columns],
                 )
             weight = self.weight[row, :count]
             residual = (shown - self.measured[row, :count]) * weight
@@ -725,8 +731,8 @@ class Problem:
         return int(np.count_nonzero(self.weight))
 
     def other_information(self, values: np.ndarray) -> np.ndarray:
-        """Information of other signals than the encoder's on the free unknowns at given values, shape (F, F): none here."""
-        return np.zeros((len(self.free), len(self.free)))
+        """Information of other signals than the encoder's on the estimated unknowns at given values, shape (F, F): none here."""
+        return np.zeros((len(self.estimated), len(self.estimated)))
 
     def simulate(
         self, values: np.ndarray, columns: np.ndarray
@@ -759,14 +765,14 @@ class Problem:
 def _known_together(
     robot: Robot,
     runs: Sequence[PreparedRun],
-    free: Sequence[Unknown],
+    estimated: Sequence[Unknown],
 ) -> tuple[Sequence[Key], np.ndarray]:
-    """Keys and joint covariance of those free unknowns whose priors are correlated."""
+    """Keys and joint covariance of those estimated unknowns whose priors are correlated."""
     calibration = prior_of(robot, runs)
     if calibration is None:
-        return of_one_kind(robot, free)
+        return of_one_kind(robot, estimated)
     if calibration.swing_error > 0.0:
         calibration = calibration.given(
-            {(kind, run.run.joint) for run in runs if run.run.free for kind in RISE}
+            {(kind, run.run.joint) for run in runs if run.run.is_free_response for kind in RISE}
         )
     return calibration.keys, calibration.covariance

@@ -87,7 +87,7 @@ def refresh(
     progress(f"fitting {len(usable)} runs")
     # where the zeros are now is what the new runs are to say
     robot = replace(robot, zero_repeat=0.0)
-    unknowns = robot_unknowns(robot, usable, Role.FREE)
+    unknowns = robot_unknowns(robot, usable, Role.ESTIMATED)
     problem = Problem(robot, usable, PayloadFacts(), unknowns)
     start = problem.coordinates.internal(problem.coordinates.prior_mean[None])
     ended = FitResult.of(
@@ -132,7 +132,7 @@ def _new_runs(
     """The runs that can be used; ConfigurationError where one of them is in the old calibration already."""
 
     def refused(run: PreparedRun) -> str:
-        if not run.run.free and run.run.joint in old.driven:
+        if not run.run.is_free_response and run.run.joint in old.driven:
             return ""
         return f"{run.run.joint} was not driven when the robot was calibrated"
 
@@ -169,9 +169,11 @@ def _updated(
 ) -> Calibration:
     """The calibration after the fit; what the runs do not touch moves along as it is correlated with what they do."""
     place = {key: row for row, key in enumerate(old.keys)}
-    free = [(f, row) for f, row in enumerate(problem.free) if problem.unknowns[row].key in place]
-    of_fit = [f for f, _ in free]
-    rows = [row for _, row in free]
+    estimated = [
+        (f, row) for f, row in enumerate(problem.estimated) if problem.unknowns[row].key in place
+    ]
+    of_fit = [f for f, _ in estimated]
+    rows = [row for _, row in estimated]
     own = [place[problem.unknowns[row].key] for row in rows]
     prior = old.covariance[np.ix_(own, own)]
     follows = old.covariance[:, own] @ scaled_inverse(prior)

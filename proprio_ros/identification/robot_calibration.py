@@ -125,7 +125,7 @@ def calibrate(
     if not usable:
         return nothing_usable(robot, "every probed", len(runs), found)
     swings = are_free_responses(usable)
-    if not any(u.shared and u.std > 0.0 for u in robot_unknowns(robot, usable, Role.FREE)):
+    if not any(u.shared and u.std > 0.0 for u in robot_unknowns(robot, usable, Role.ESTIMATED)):
         exactly = f"{robot.source.name} states every number of {', '.join(joints_of(usable))} as exactly known"
         raise ConfigurationError(
             f"{exactly}, so there is nothing to learn: give the numbers standard deviations"
@@ -326,7 +326,7 @@ def _misfits(
         file = f"the robot file expects {1e3 * robot.torque_disturbance:.1f}. It {unlike}"
         cause = "(weights, unit and sign of the current, gears?), or something pulls at it or was in the hand"
         return [f"misfit: the runs only agree if {come}; {file} {cause}"]
-    if not fitted.problem.runs[0].run.free:
+    if not fitted.problem.runs[0].run.is_free_response:
         return []
     share = missed_share(fitted.posterior)
     if share > MISSED_SHARE:
@@ -376,7 +376,7 @@ def _driven_one_way(robot: Robot, runs: Sequence[PreparedRun]) -> dict[str, bool
     ways: dict[str, set[bool]] = {}
     for run in runs:
         is_open = run.drive.torque_constant.std > 0.0 and run.drive.coulomb.std > 0.0
-        both_ways = run.run.free or robot.model.joint(run.run.joint).kind == "prismatic"
+        both_ways = run.run.is_free_response or robot.model.joint(run.run.joint).kind == "prismatic"
         if is_open and not both_ways:
             ways.setdefault(run.run.joint, set()).add(run.travel > 0.0)
     return {joint: seen.pop() for joint, seen in ways.items() if len(seen) == 1}
@@ -413,7 +413,7 @@ def empty_hand(
 
     if all(hiding(run, 1.0) is run for run in problem.runs):
         return None
-    some = problem.free[:1]
+    some = problem.estimated[:1]
     seen = problem.weight > 0.0
     change = (
         hiding_all(HIDDEN_STEP_KG).simulate(at[None], some)[0] - problem.simulate(at[None], some)[0]
@@ -444,11 +444,11 @@ def _gained_with(
         problem: The one that was fitted.
         other: The same runs with another load.
         at: Where the fit ended, shape (N,).
-        follows: By how much the free unknowns are less with the other load, to first order, shape (F,).
+        follows: By how much the estimated unknowns are less with the other load, to first order, shape (F,).
     """
-    open_to = [problem.unknowns[row] for row in problem.free]
+    open_to = problem.estimated_unknowns()
     shares = np.linspace(0.0, 1.0, HIDDEN_STARTS)[:, None]
-    places = at[problem.free] - shares * follows
+    places = at[problem.estimated] - shares * follows
     starts = problem.coordinates.internal(
         np.clip(
             places,
@@ -529,7 +529,7 @@ def _without(
 
 def _late(runs: Sequence[PreparedRun]) -> list[PreparedRun]:
     """Runs whose joint leaves its rest much later than in its others, the latest first, and not too many to be exceptions."""
-    if runs[0].run.free:
+    if runs[0].run.is_free_response:
         return []
     begins_s = np.array([_begins_s(run) for run in runs])
     joints = np.array([run.run.joint for run in runs])
@@ -557,7 +557,7 @@ def _begins_s(run: PreparedRun) -> float:
 def _outlier(robot: Robot, fitted: Fitted) -> int | None:
     """The run that contradicts the others: predicted badly, or explained only by a torque or an onset that no other run needs."""
     outlier = gates.contradicting(fitted.posterior)
-    if outlier is not None or fitted.problem.runs[0].run.free:
+    if outlier is not None or fitted.problem.runs[0].run.is_free_response:
         return outlier
     strange = [(STRANGE, -1)]
     for kind, usual in (
@@ -585,7 +585,7 @@ def shared_rows(
     Args:
         problem: That was fitted.
         values: Of all unknowns, shape (N,).
-        covariance: Of the free ones, shape (F, F).
+        covariance: Of the estimated ones, shape (F, F).
     """
     stds = np.sqrt(np.diag(covariance))
     return tuple(
@@ -598,7 +598,7 @@ def shared_rows(
             float(stds[f]),
             scope=u.scope,
         )
-        for f, row in enumerate(problem.free)
+        for f, row in enumerate(problem.estimated)
         if (u := problem.unknowns[row]).shared
     )
 
@@ -696,8 +696,8 @@ def _not_separated(
 def _as_calibration(fitted: Fitted) -> Calibration:
     problem = fitted.problem
     noise = fitted.noise
-    shared = [f for f, row in enumerate(problem.free) if problem.unknowns[row].shared]
-    rows = problem.free[shared]
+    shared = [f for f, row in enumerate(problem.estimated) if problem.unknowns[row].shared]
+    rows = problem.estimated[shared]
     if noise.swing_error == 0.0:
         noise = replace(noise, friction_spread=0.0)
     return Calibration(

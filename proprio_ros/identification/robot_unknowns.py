@@ -107,7 +107,7 @@ def load_unknowns(
                 spread,
                 -1.0,
                 1.0,
-            ).at_role(Role.FREE)
+            ).at_role(Role.ESTIMATED)
         )
     unknowns.append(
         Unknown(
@@ -133,7 +133,7 @@ def robot_unknowns(
     Args:
         robot: Whose file and calibration count.
         runs: Whose joints, links and starts they are of.
-        drive_role: ``FROZEN`` keeps the robot at these values, ``FREE`` lets the recording move them under their priors.
+        drive_role: ``FIXED`` keeps the robot at these values, ``ESTIMATED`` lets the recording move them under their priors.
 
     Returns: the shared ones first, then those of each run.
     """
@@ -192,14 +192,14 @@ def _shared_unknowns(robot: Robot, runs: Sequence[PreparedRun]) -> list[Unknown]
 
 def _of_run(robot: Robot, row: int, run: PreparedRun, drive_role: Role) -> list[Unknown]:
     """Where a run began, how its onset and torque differ from other runs', and what a free swing has of its own."""
-    free = run.run.free
-    velocity = (run.start_velocity, START_VELOCITY_STD) if free else (0.0, robot.start_velocity)
+    swing = run.run.is_free_response
+    velocity = (run.start_velocity, START_VELOCITY_STD) if swing else (0.0, robot.start_velocity)
     start = [
         Unknown("q0", run.rest.value, run.rest.std, scope=row),
         Unknown("v0", *velocity, scope=row),
     ]
     repeats: dict[str, float] = {}
-    if free:
+    if swing:
         repeats = {
             "friction_change": robot.friction_spread,
             "moment_change": MOMENT_REPEATS,
@@ -219,7 +219,7 @@ def _of_run(robot: Robot, row: int, run: PreparedRun, drive_role: Role) -> list[
         )
     )
     # a swing's friction differs, not a torque that pushes one way: that would take the place of the weight
-    disturbance = 0.0 if free else math.hypot(robot.torque_disturbance, run.current_torque_std)
+    disturbance = 0.0 if swing else math.hypot(robot.torque_disturbance, run.current_torque_std)
     differs.append(Unknown("disturbance", 0.0, disturbance, scope=row))
     return start + [unknown.at_role(drive_role) for unknown in differs]
 
@@ -229,7 +229,7 @@ def prior_of(robot: Robot, runs: Sequence[PreparedRun]) -> Calibration | None:
 
     A free swing has an unknown of its own for where its zero is.
     """
-    if robot.calibration is None or any(run.run.free for run in runs):
+    if robot.calibration is None or any(run.run.is_free_response for run in runs):
         return robot.calibration
     return robot.calibration.with_other_zeros(zero_repeat_of(robot, runs))
 
@@ -250,7 +250,7 @@ def onset_std(robot: Robot, run: PreparedRun) -> float:
     Where the input is measured effort, its onset is only known to one period. Where joint states pause around it, whoever takes
     commands may have paused, too, or not: then it may be anywhere in the pause.
     """
-    if run.run.free:  # no command begins it
+    if run.run.is_free_response:  # no command begins it
         return 0.0
     period = float(np.median(np.diff(run.run.times_s)))
     pause = (
@@ -282,10 +282,10 @@ def _from_quantity(
 
 def of_one_kind(
     robot: Robot,
-    free: Sequence[Unknown],
+    estimated: Sequence[Unknown],
 ) -> tuple[list[Key], np.ndarray]:
     """Keys and prior covariance of the torque constants among some unknowns; motors of one kind err together in part."""
-    constants = [unknown for unknown in free if unknown.kind == "torque_constant"]
+    constants = [unknown for unknown in estimated if unknown.kind == "torque_constant"]
     kinds = [
         robot.drive_trains[str(unknown.scope)].nominal_effort_per_current for unknown in constants
     ]

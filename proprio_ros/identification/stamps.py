@@ -45,7 +45,7 @@ def stamps_off(fit: FitResult) -> list[Reason]:
     cure = "have both stamped by one clock, or state the true delay (robot.delay_s)"
     for run, row in zip(problem.runs, parameters, strict=True):
         # which comes in one message with the positions
-        if run.run.free or run.run.source == MEASURED_EFFORT:
+        if run.run.is_free_response or run.run.source == MEASURED_EFFORT:
             continue
         # what is shaken inside a container pushes back at any time
         if len(run.run.input_times_s) > 1:

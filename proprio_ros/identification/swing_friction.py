@@ -75,7 +75,7 @@ def own_friction(
     prepared = prepare_run(loose, run, None, facts)
     starts = swing_starts(loose, prepared, facts)
     search = replace(options or SearchOptions(), starts_kg=starts)
-    fit = solve_load(loose, [prepared], facts, search, Role.FREE)
+    fit = solve_load(loose, [prepared], facts, search, Role.ESTIMATED)
     posterior = Posterior(fit.problem, fit.values)
     rows = [
         fit.problem.index["coulomb", run.joint],

@@ -38,8 +38,8 @@ be followed better than the next one by chance."""
 
 def are_free_responses(runs: Sequence[PreparedRun]) -> bool:
     """Whether the runs are free swings. Raises `RecordingError`: Some are, and some are not."""
-    free = [run.run.name for run in runs if run.run.free]
-    driven = [run.run.name for run in runs if not run.run.free]
+    free = [run.run.name for run in runs if run.run.is_free_response]
+    driven = [run.run.name for run in runs if not run.run.is_free_response]
     if free and driven:
         raise RecordingError(
             f"{free[0]} is a free swing and {driven[0]} is driven by a current: give them apart"

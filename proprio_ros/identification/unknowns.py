@@ -15,22 +15,22 @@ from proprio_ros.kinds import KINDS, Key, Tag
 class Role(Enum):
     """What a fit does with an unknown."""
 
-    FREE = "free"  # moved by the solver, pulled by its prior
-    FROZEN = "frozen"  # kept at its value
+    ESTIMATED = "free"  # moved by the solver, pulled by its prior
+    FIXED = "frozen"  # kept at its value
 
 
 @dataclass(frozen=True)
 class Unknown(Tag):
     """One scalar unknown; what it is, and whose, says ``Tag``."""
 
-    value: float  # prior mean, and the value used while the unknown is not free
+    value: float  # prior mean, and the value used while the unknown is fixed
     std: float  # of the prior; `inf` is no prior, 0 is known exactly
     lower: float = -np.inf  # bounds on the physical value
     upper: float = np.inf
     # 0 keeps the coordinate linear; otherwise the solver moves ``asinh(value / scale)``, which is a logarithm for large
     # values and linear through zero, so that orders of magnitude are crossed and an empty hand reads 0
     asinh_scale: float = 0.0
-    role: Role = Role.FREE
+    role: Role = Role.ESTIMATED
 
     def __post_init__(self) -> None:
         if self.kind not in KINDS:
@@ -46,8 +46,8 @@ class Unknown(Tag):
             )
 
     def at_role(self, role: Role) -> Unknown:
-        """A copy with another role; what is known exactly stays frozen."""
-        return replace(self, role=Role.FROZEN if self.std == 0.0 else role)
+        """A copy with another role; what is known exactly stays fixed."""
+        return replace(self, role=Role.FIXED if self.std == 0.0 else role)
 
 
 def scaled_inverse(matrix: np.ndarray) -> np.ndarray:
@@ -62,7 +62,7 @@ class Coordinates:
     """Maps between physical values and solver coordinates of a list of unknowns, and holds their joint prior.
 
     Args:
-        unknowns: The free unknowns, in solver order.
+        unknowns: The estimated unknowns, in solver order.
         correlated: Keys and covariance (physical units) of those whose priors belong together, as a calibration leaves them;
             the others are independent. Keys that are not among the unknowns are marginalised out.
     """
@@ -103,14 +103,14 @@ class Coordinates:
 
     def _correlate(
         self,
-        free: Sequence[Key],
+        estimated: Sequence[Key],
         keys: Sequence[Key],
         covariance: np.ndarray,
     ) -> None:
         where = {key: row for row, key in enumerate(keys)}
-        own = [row for row, key in enumerate(free) if key in where]
+        own = [row for row, key in enumerate(estimated) if key in where]
         if own:
-            given = [where[free[row]] for row in own]
+            given = [where[estimated[row]] for row in own]
             self.prior_precision[np.ix_(own, own)] = scaled_inverse(
                 covariance[np.ix_(given, given)]
             )

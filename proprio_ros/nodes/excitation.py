@@ -214,14 +214,14 @@ class ExcitationNode(ManagedNode):
             self._unpushed_since_s = None
             return
         run = machine.sequence.runs[machine.run_number - 1]
-        if run.free and not self._torque_enabled:  # no effort is what was asked for
+        if run.is_free_response and not self._torque_enabled:  # no effort is what was asked for
             self._unpushed_since_s = None
             return
         now = self.now_s()
         if self._unpushed_since_s is None:
             self._unpushed_since_s = now
         elif now - self._unpushed_since_s > UNPUSHED_S:
-            words = f"the driver does not {'let go of' if run.free else 'push'} {run.joint}, or has ended it"
+            words = f"the driver does not {'let go of' if run.is_free_response else 'push'} {run.joint}, or has ended it"
             self._abort(f"{words}: its log and /diagnostics say why", aloud=True)
 
     def _on_driver(self, message: DiagnosticStatus) -> None:
@@ -319,7 +319,7 @@ class ExcitationNode(ManagedNode):
             self._output.check(sequence)
         except ProprioError as error:
             return str(error)
-        if any(run.free for run in sequence.runs) and self._torque_enabled is None:
+        if any(run.is_free_response for run in sequence.runs) and self._torque_enabled is None:
             nobody = f"nobody says on {self.resolve_topic_name('torque_enabled')} when a joint is let go of"
             use = "a recording of free swings is of no use without; start proprio_ros' driver"
             return f"{sequence.name}: {nobody}, and {use}"

@@ -116,7 +116,7 @@ def calibrate_from_bags(
         known = replace(estimate.calibration, motors=recorded.motors, made=made)
         estimate = replace(estimate, calibration=known)
     if references:
-        swings = bool(runs) and runs[0].run.free
+        swings = bool(runs) and runs[0].run.is_free_response
         estimate = _with_implied_scale(estimate, request.robot, swings)
     estimate = replace(estimate, unused=_unused(estimate, request.robot, runs))
     origin = {

@@ -355,7 +355,7 @@ def _with_effort(run: RunCheck, seen: Sequence[Finding]) -> RunCheck:
             finding.code in UNUSABLE_EFFORT
             and run.joint in finding.joints
             and not run.problem
-            and not run.free
+            and not run.is_free_response
         ):
             return replace(run, problem=finding.sentence, mass_half_width_kg=None)
     return run
@@ -402,13 +402,13 @@ def _advice(
 ) -> tuple[str, ...]:
     """What to record instead, or beside it."""
     advice = []
-    free = any(run.free for run in check.runs)
-    if recording.inputs is None and recording.joints.reported_effort is None and not free:
+    swinging = any(run.is_free_response for run in check.runs)
+    if recording.inputs is None and recording.joints.reported_effort is None and not swinging:
         advice.append(
             "what the motors gave, too: their torque or current as effort in /joint_states, or commands in /applied_effort or "
             "/current_command"
         )
-    if not free and any(finding.code in DOUBTFUL_EFFORT for finding in check.findings):
+    if not swinging and any(finding.code in DOUBTFUL_EFFORT for finding in check.findings):
         advice.append("effort as it was measured, with its sign, read anew for each joint state")
     if check.rate_Hz < SLOWEST_HZ:
         advice.append(f"at 50 Hz or more: {check.rate_Hz:.0f} Hz is too slow for a motion")
@@ -418,7 +418,7 @@ def _advice(
         longer = " and both for 15 s or longer" if check.tells.duration_s < 15.0 else ""
         same = "the same motion with the object and with an empty hand, on the same day: the latter is the `--baseline`"
         advice.append(same + longer)
-    elif any(not run.problem for run in check.runs) and not free and not robot.is_calibrated():
+    elif any(not run.problem for run in check.runs) and not swinging and not robot.is_calibrated():
         advice.append(
             "runs with an empty hand, for `proprio calibrate`: it narrows what a run tells severalfold"
         )
@@ -433,7 +433,7 @@ def _input_of(
 ) -> tuple[str, str]:
     """Where the current would come from, and what its numbers are; empty where there is none."""
     inputs = recording.inputs
-    if any(run.free for run in runs):
+    if any(run.is_free_response for run in runs):
         return "none, torque is off", ""
     if inputs is None and recording.joints.reported_effort is None:
         return "", ""
@@ -450,7 +450,11 @@ def _input_of(
 @solvable
 def _run_check(robot: Robot, run: Run) -> RunCheck:
     joint = robot.model.joint(run.joint)
-    travel = float(np.ptp(run.position)) if run.free else float(run.position[-1] - run.position[0])
+    travel = (
+        float(np.ptp(run.position))
+        if run.is_free_response
+        else float(run.position[-1] - run.position[0])
+    )
     largest = float(run.input_current_A[np.argmax(np.abs(run.input_current_A))])
     slides = joint.kind == "prismatic"
     found = Findings()
@@ -464,7 +468,7 @@ def _run_check(robot: Robot, run: Run) -> RunCheck:
     notes = (*run.notes, *about(found.reasons, run.name))
     width_kg = None
     with suppress(RobotError):
-        width_kg = None if problem or slides or run.free else mass_from_run(robot, run)
+        width_kg = None if problem or slides or run.is_free_response else mass_from_run(robot, run)
     driven = (
         run.duration_s,
         travel,
@@ -479,7 +483,7 @@ def _run_check(robot: Robot, run: Run) -> RunCheck:
         problem,
         notes,
         width_kg,
-        run.free,
+        run.is_free_response,
     )
 
 

@@ -40,12 +40,12 @@ class RunCheck:
     notes: tuple[str, ...] = ()  # what else a reader should know
     # about half the 95 % interval of a light object's mass from this run alone; None where it lifts nothing
     mass_half_width_kg: float | None = None
-    free: bool = False  # whether it is a free swing: torque was off
+    is_free_response: bool = False  # whether it is a free swing: torque was off
 
     def as_json(self) -> dict[str, Any]:
         return {
             **_named(self, "name", "joint", "duration_s", "travel", "unit", "current_A", "samples"),
-            "free_swing": self.free,
+            "free_swing": self.is_free_response,
             "usable": not self.problem,
             "problem": self.problem or None,
             "problem_code": reason_codes([self.problem])[0] if self.problem else None,
@@ -58,7 +58,7 @@ class RunCheck:
         judged = f"not usable, {self.problem}" if self.problem else "usable"
         if not self.problem and self.mass_half_width_kg is not None:
             judged += f"; alone it tells a light object's mass to about +-{_grams(self.mass_half_width_kg)}"
-        if self.free:
+        if self.is_free_response:
             until = (
                 f"{self.duration_s:.2f} s until it hangs still, over {self.travel:.2f} {self.unit}"
             )
@@ -66,7 +66,7 @@ class RunCheck:
         else:
             moved = f"{1e3 * self.current_A:+.0f} mA for {self.duration_s:.2f} s, travel {self.travel:+.3f} {self.unit}"
             about = f"run of {self.joint}: {moved}"
-        good_for = [f"    {FREE_SWING}"] if self.free and not self.problem else []
+        good_for = [f"    {FREE_SWING}"] if self.is_free_response and not self.problem else []
         notes = [f"    note: {note}" for note in self.notes]
         return [f"  {about}, {self.samples} samples: {judged}", *good_for, *notes]
 

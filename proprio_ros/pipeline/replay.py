@@ -140,7 +140,7 @@ def _refuse_unsuited(
             f"{motions[0].name}: several joints were driven at once, or one under a controller; --probe {probe.name} wants one at "
             "a time, from rest with a constant current"
         )
-    swings = [run.name for run in runs if run.free]
+    swings = [run.name for run in runs if run.is_free_response]
     if swings and not isinstance(probe, TakesMotions):
         raise RecordingError(
             f"{swings[0]}: a free swing; --probe {probe.name} wants a joint that a current drives"

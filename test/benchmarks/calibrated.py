@@ -46,7 +46,7 @@ def scipy_cost(
         robot,
         runs,
         PayloadFacts(),
-        robot_unknowns(robot, runs, Role.FREE),
+        robot_unknowns(robot, runs, Role.ESTIMATED),
     )
     coordinates = problem.coordinates
     seen = problem.weight > 0.0
@@ -54,7 +54,7 @@ def scipy_cost(
     def residual(x: np.ndarray) -> np.ndarray:
         q, _, _ = problem.simulate(
             problem.all_values(x[None]),
-            problem.free[:1],
+            problem.estimated[:1],
         )
         left = ((q[0] - problem.measured) * problem.weight)[seen]
         return np.append(
@@ -63,7 +63,7 @@ def scipy_cost(
         )
 
     start = coordinates.prior_mean.copy()
-    for f, row in enumerate(problem.free):
+    for f, row in enumerate(problem.estimated):
         if problem.unknowns[row].name.startswith("coulomb["):
             start[f] = 0.02
     bounds = (

@@ -189,7 +189,7 @@ class Case:
         values[:, 0] = masses
         p, dp = self.problem.parameters(
             self.problem.all_values(values),
-            self.problem.free,
+            self.problem.estimated,
         )
         return np.ascontiguousarray(p[:, 0]), np.ascontiguousarray(dp[:, 0])
 
@@ -223,11 +223,11 @@ def load() -> Case:
             robot,
             [prepared],
             facts,
-            Role.FROZEN,
+            Role.FIXED,
             0.05,
         ),
     )
-    names = [problem.unknowns[row].name for row in problem.free]
+    names = [problem.unknowns[row].name for row in problem.estimated]
     if names != ["payload_mass", "q0[0]", "v0[0]"]:
         raise SystemExit(
             f"the comparison wants mass, start position and start velocity unknown, not {', '.join(names)}"

@@ -206,7 +206,7 @@ class Boxed:
     @property
     def names(self) -> list[str]:
         """What is unknown."""
-        return [self.problem.unknowns[row].name for row in self.problem.free]
+        return [self.problem.unknowns[row].name for row in self.problem.estimated]
 
     def solve(self) -> Solution:
         """Our search: the problem is built and everything is warm."""
@@ -233,7 +233,7 @@ class Boxed:
             (len(masses), 1),
         )
         values[:, self.problem.index["sphere_mass"]] = masses
-        p, dp = self.problem.parameters(values, self.problem.free)
+        p, dp = self.problem.parameters(values, self.problem.estimated)
         return np.ascontiguousarray(p[:, 0]), np.ascontiguousarray(dp[:, 0])
 
 
@@ -294,10 +294,10 @@ def _pose(
         [True],
         facts,
         [prior],
-        Role.FROZEN,
+        Role.FIXED,
     )
     if mass_alone:
-        unknowns = [u if u.name == "sphere_mass" else u.at_role(Role.FROZEN) for u in unknowns]
+        unknowns = [u if u.name == "sphere_mass" else u.at_role(Role.FIXED) for u in unknowns]
     options = ContainerOptions()
     problem = ContainerProblem(
         robot, [prepared], facts, [True], unknowns, options.integrator, options.step_s
@@ -311,7 +311,7 @@ def _pose(
         (len(STARTS_KG), 1),
     )
     values[:, problem.index["sphere_mass"]] = STARTS_KG
-    starts = problem.coordinates.internal(values[:, list(problem.free)])
+    starts = problem.coordinates.internal(values[:, list(problem.estimated)])
     return Boxed(robot, facts, problem, starts)
 
 
@@ -399,7 +399,7 @@ def mujoco_fit(
         step_s,
         integrator,
     )
-    unknowns = [problem.unknowns[row] for row in problem.free]
+    unknowns = problem.estimated_unknowns()
     mean, std = np.array([u.value for u in unknowns]), np.array([u.std for u in unknowns])
     mass = box.names.index("sphere_mass")
     places = [problem.index[f"sphere_{axis}", 0] for axis in "xyz"]
@@ -414,7 +414,7 @@ def mujoco_fit(
         rollouts += 1
         values = problem.base.copy()
         off = np.delete(x - 10.0, mass)
-        values[problem.free] = mean + np.where(
+        values[problem.estimated] = mean + np.where(
             np.isfinite(std),
             std,
             0.0,

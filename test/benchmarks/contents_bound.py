@@ -199,9 +199,9 @@ def driven(
             [True],
             "liquid",
         )
-        shown = problem.simulate(truth_of(problem, kg, fill, facts)[None], problem.free[:1])[0][
-            0, 0
-        ]
+        shown = problem.simulate(truth_of(problem, kg, fill, facts)[None], problem.estimated[:1])[
+            0
+        ][0, 0]
         # of a shaken one where it is on average in the end
         moved = (
             float(shown[: run.used][run.times_s > run.times_s[-1] - period_s].mean())
@@ -245,7 +245,7 @@ def bound(
     values = truth_of(problem, kg, fill, facts)
     found = Posterior(problem, values)
     names = ("contents_density", "slosh_tuning", "slosh_damping_log")
-    places = [list(problem.free).index(problem.index[name]) for name in names]
+    places = [problem.column_of(name) for name in names]
     loose = problem.coordinates.prior_precision.copy()
     for place in places:
         loose[place, place] *= 1e-4  # a hundred times as wide: next to nothing is known before
@@ -254,7 +254,7 @@ def bound(
     covariance = np.linalg.inv(information * scale[:, None] * scale) * scale[:, None] * scale
     density, tuning, damping = (float(np.sqrt(covariance[place, place])) for place in places)
     hz = float(np.sqrt(Slosh.of(radius, np.array(fill)).stiffness)) / (2.0 * np.pi)
-    mass = list(problem.free).index(problem.index["contents_mass"])
+    mass = problem.column_of("contents_mass")
     factor = float(np.exp(min(damping, 20.0)))
     return {
         "arm": arm.name, "radius_mm": 1e3 * radius, "g": 1e3 * kg, "fill_mm": 1e3 * fill, "hz": hz,
@@ -276,13 +276,13 @@ def short_of(
         problem.filled,
         model,
     )
-    shown = problem.simulate(values[None], problem.free[:1])[0][0]
+    shown = problem.simulate(values[None], problem.estimated[:1])[0][0]
     other.measured = np.where(other.weight > 0.0, shown, 0.0)
     start = other.base.copy()
     for name in ("contents_mass", "payload_mass"):
         start[other.index[name]] = values[problem.index[name]]
     ends = solvers.levenberg_marquardt(
-        other, other.coordinates.internal(start[None, other.free]), None, iterations=40
+        other, other.coordinates.internal(start[None, other.estimated]), None, iterations=40
     )
     return float(ends.cost.min())
 

@@ -194,12 +194,12 @@ def cramer_rao(
         robot,
         runs,
         facts,
-        load_unknowns(robot, runs, facts, Role.FREE, load.mass),
+        load_unknowns(robot, runs, facts, Role.ESTIMATED, load.mass),
     )
     values = true_values(hidden, problem, load.mass)
     _, v, dq = problem.simulate(
         values[None],
-        problem.free,
+        problem.estimated,
     )
     reading = np.hypot(
         runs[0].drive.encoder_resolution / np.sqrt(12.0),

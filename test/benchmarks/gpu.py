@@ -86,7 +86,7 @@ def prepare(file: Path) -> int:
             if not all(admitted(robot, run, Findings()) for run in runs):
                 continue
             problem, starts = first_problem(
-                robot, runs, PayloadFacts(), SearchOptions(), Role.FROZEN
+                robot, runs, PayloadFacts(), SearchOptions(), Role.FIXED
             )
             fit = affine_fit(problem, starts)
             for name in OF_FITS:

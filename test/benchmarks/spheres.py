@@ -332,14 +332,14 @@ def cramer_rao(
             rolls,
             FACTS,
             priors,
-            Role.FREE,
+            Role.ESTIMATED,
         ),
     )
     values = true_values(hidden, problem, SHELL_KG)
     values[problem.index["sphere_mass"]] = made.sphere.sphere_kg
     _, v, dq = problem.simulate(
         values[None],
-        problem.free,
+        problem.estimated,
     )
     reading = np.hypot(
         runs[0].drive.encoder_resolution / np.sqrt(12.0),
@@ -352,7 +352,7 @@ def cramer_rao(
     inverse = np.linalg.pinv(
         information * scale[:, None] * scale[None, :], rcond=1e-14, hermitian=True
     )
-    at = list(problem.free).index(problem.index["sphere_mass"])
+    at = problem.column_of("sphere_mass")
     return float(np.sqrt(inverse[at, at]) * scale[at])
 
 

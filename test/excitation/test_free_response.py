@@ -518,13 +518,14 @@ def test_what_lets_go_and_what_catches_are_no_probes() -> None:
         "it is moved by a current while it is caught"
     )
     runs = cut_runs(recording, joints=JOINTS)
-    assert [(run.joint, run.free) for run in runs] == [(WRIST, True)]
+    assert [(run.joint, run.is_free_response) for run in runs] == [(WRIST, True)]
     began = next(tick.sample for tick in ticks if tick.phase is Phase.PROBE)
     assert 0.09 < 1e-9 * runs[0].onset_ns - began.time_s < 0.16
     assert runs[0].duration_s < 0.5
     # without the word that torque is off, a zero current may as well be that of a joint that is held
     assert not any(
-        run.free for run in cut_runs(replace(recording, torque_off_ns=()), joints=JOINTS)
+        run.is_free_response
+        for run in cut_runs(replace(recording, torque_off_ns=()), joints=JOINTS)
     )
 
 

@@ -237,7 +237,7 @@ def test_steps_that_no_servo_should_make_are_refused(
 
 def test_a_sequence_of_steps_comes_back_from_its_text() -> None:
     sequence = load_sequence("so101_payload", ROBOT)
-    assert all(run.goal_step and not run.free for run in sequence.runs)
+    assert all(run.goal_step and not run.is_free_response for run in sequence.runs)
     assert load_sequence(as_text(sequence), ROBOT).runs == sequence.runs
 
 

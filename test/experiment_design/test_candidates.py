@@ -82,7 +82,7 @@ def test_open_friction_is_half_as_large_as_it_may_be(robot: Robot) -> None:
         robot,
         [run],
         PayloadFacts(),
-        robot_unknowns(robot, [run], Role.FREE),
+        robot_unknowns(robot, [run], Role.ESTIMATED),
     )
     coulomb = robot.drive_trains["joint3"].coulomb
     assert coulomb.value < coulomb.std

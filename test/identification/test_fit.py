@@ -63,7 +63,7 @@ def test_an_unknown_solver_is_refused() -> None:
 
 def test_chi_square_is_that_of_residuals_and_priors(fit: FitResult) -> None:
     problem = fit.problem
-    internal = problem.coordinates.internal(fit.values[problem.free][None])
+    internal = problem.coordinates.internal(fit.values[problem.estimated][None])
     cost, _, _ = problem.linearise(internal)
     assert fit.chi2 == pytest.approx(2.0 * float(cost[0]), rel=1e-6)
     # a search that goes on from there finds no other mass
@@ -161,7 +161,7 @@ def test_a_profile_is_least_at_the_fit_and_rises_to_both_sides(fit: FitResult) -
 def test_what_is_frozen_stays_where_the_file_has_it(fit: FitResult) -> None:
     robot = fit.problem.robot
     runs = fit.problem.runs
-    frozen = solve_load(robot, runs, PayloadFacts(), OPTIONS, Role.FROZEN)
+    frozen = solve_load(robot, runs, PayloadFacts(), OPTIONS, Role.FIXED)
     constant = robot.drive_trains["joint3"].torque_constant
     assert frozen.value_of(("torque_constant", "joint3")) == constant.value
     assert fit.determined(("torque_constant", "joint3"))[1] <= 1.001 * constant.std

@@ -318,7 +318,7 @@ def test_a_mass_on_the_bound_of_the_search() -> None:
             pendulum,
             [prepared],
             facts,
-            Role.FREE,
+            Role.ESTIMATED,
             1.0,
         ),
     )
@@ -326,7 +326,7 @@ def test_a_mass_on_the_bound_of_the_search() -> None:
     values[problem.index["payload_mass"]] = 50.0
     swung = replace(
         still,
-        position=problem.simulate(values[None], problem.free)[0][0, 0],
+        position=problem.simulate(values[None], problem.estimated)[0][0, 0],
     )
     estimate = weigh(pendulum, [swung])
     assert estimate.verdict is Verdict.REJECTED and estimate.value("payload_mass").value is None

@@ -34,9 +34,9 @@ def fitted(recordings: Path):
         robot,
         prepared,
         PayloadFacts(),
-        robot_unknowns(robot, prepared, Role.FREE),
+        robot_unknowns(robot, prepared, Role.ESTIMATED),
     )
-    start = problem.coordinates.internal(problem.base[problem.free])[None]
+    start = problem.coordinates.internal(problem.base[problem.estimated])[None]
     solution = solvers.levenberg_marquardt(problem, start, problem.simulator.windows)
     return (
         robot,
@@ -55,11 +55,11 @@ def test_held_out_residuals_are_those_of_a_fit_without_the_run(fitted) -> None:
             robot,
             others,
             PayloadFacts(),
-            robot_unknowns(robot, others, Role.FREE),
+            robot_unknowns(robot, others, Role.ESTIMATED),
         )
         solution = solvers.levenberg_marquardt(
             small,
-            small.coordinates.internal(_moved(problem, small, values, out)[small.free])[None],
+            small.coordinates.internal(_moved(problem, small, values, out)[small.estimated])[None],
             None,
         )
         found = small.all_values(small.coordinates.physical(solution.internal))[0]
@@ -70,7 +70,7 @@ def test_held_out_residuals_are_those_of_a_fit_without_the_run(fitted) -> None:
                 predicted[problem.index[unknown.key]] = value
         q, _, _ = problem.simulate(
             predicted[None],
-            problem.free,
+            problem.estimated,
         )
         used = prepared[out].used
         expected = prepared[out].position - q[0, out, :used]
@@ -89,7 +89,7 @@ def test_a_fit_that_ends_near_its_least_cost_predicts_runs_as_the_best_one_does(
 ) -> None:
     """A tenth of a standard deviation away; of what only one run determines, that little made a contradiction of a million."""
     _, prepared, problem, values = fitted
-    start = problem.coordinates.internal(values[problem.free])[None]
+    start = problem.coordinates.internal(values[problem.estimated])[None]
     found = solvers.levenberg_marquardt(
         problem,
         start,
@@ -101,7 +101,7 @@ def test_a_fit_that_ends_near_its_least_cost_predicts_runs_as_the_best_one_does(
     known = Posterior(problem, best)
     stds = dict(
         zip(
-            problem.free.tolist(),
+            problem.estimated.tolist(),
             np.sqrt(np.diag(known.covariance)),
             strict=True,
         )
@@ -145,9 +145,9 @@ def test_a_run_with_something_in_the_hand_is_predicted_badly(fitted, recordings:
         robot,
         runs,
         PayloadFacts(),
-        robot_unknowns(robot, runs, Role.FREE),
+        robot_unknowns(robot, runs, Role.ESTIMATED),
     )
-    start = problem.coordinates.internal(problem.base[problem.free])[None]
+    start = problem.coordinates.internal(problem.base[problem.estimated])[None]
     solution = solvers.levenberg_marquardt(problem, start, problem.simulator.windows)
     values = problem.all_values(problem.coordinates.physical(solution.internal))[0]
     posterior = Posterior(problem, values)
@@ -167,7 +167,7 @@ def test_the_covariance_shrinks_with_every_run_and_never_beats_the_prior(fitted)
         robot_unknowns(
             robot,
             prepared[:1],
-            Role.FREE,
+            Role.ESTIMATED,
         ),
     )
     single = Posterior(
@@ -182,7 +182,7 @@ def test_the_covariance_shrinks_with_every_run_and_never_beats_the_prior(fitted)
 def test_inflation_widens_the_data_not_the_prior(fitted) -> None:
     robot, prepared, problem, values = fitted
     known = [
-        replace(u, role=Role.FROZEN) if u.name.startswith("link") else u for u in problem.unknowns
+        replace(u, role=Role.FIXED) if u.name.startswith("link") else u for u in problem.unknowns
     ]
     fewer = Problem(robot, prepared, PayloadFacts(), known)
     narrow, wide = (Posterior(fewer, values, inflation) for inflation in (1.0, 4.0))

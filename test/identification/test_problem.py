@@ -60,7 +60,7 @@ def problem() -> Problem:
         robot,
         runs,
         FACTS,
-        load_unknowns(robot, runs, FACTS, Role.FREE, 0.05),
+        load_unknowns(robot, runs, FACTS, Role.ESTIMATED, 0.05),
     )
 
 
@@ -86,7 +86,7 @@ def test_everything_is_unknown_here(problem: Problem) -> None:
         "coulomb", "viscous", "load_friction", "armature", "stribeck", "stribeck_velocity", "zero",
         "ripple_cos", "ripple_sin", "link_mass", "link_com_x", "link_com_z", "link_inertia", "q0", "v0", "onset", "disturbance",
     }  # fmt: skip
-    assert len(problem.free) == len(problem.unknowns)
+    assert len(problem.estimated) == len(problem.unknowns)
 
 
 def test_jacobian_against_central_differences(problem: Problem) -> None:
@@ -152,7 +152,7 @@ def test_gradient_and_matrix_belong_to_the_cost(problem: Problem) -> None:
     """In solver coordinates, priors and the mass's curved coordinate included."""
     coordinates = problem.coordinates
     for values in points(problem, 3):
-        u = coordinates.internal(values[problem.free])[None]
+        u = coordinates.internal(values[problem.estimated])[None]
         _, gradient, matrix = problem.linearise(u)
         gradient = gradient.copy()
         matrix = matrix.copy()
@@ -176,7 +176,7 @@ def test_fewer_unknowns_take_the_affine_path_to_the_same_numbers(problem: Proble
     frozen = [
         u
         if u.name in ("payload_mass", "q0[0]", "v0[0]", "q0[1]", "v0[1]", "delay")
-        else replace(u, role=Role.FROZEN)
+        else replace(u, role=Role.FIXED)
         for u in problem.unknowns
     ]
     small = Problem(problem.robot, problem.runs, FACTS, frozen)
@@ -186,13 +186,13 @@ def test_fewer_unknowns_take_the_affine_path_to_the_same_numbers(problem: Proble
     cost, gradient, _ = (a.copy() for a in small.linearise(u))
     for s in range(2):
         values = small.all_values(small.coordinates.physical(u[s : s + 1]))
-        full = problem.coordinates.internal(values[:, problem.free])
+        full = problem.coordinates.internal(values[:, problem.estimated])
         whole_cost, whole_gradient, _ = problem.linearise(full)
         # the free friction takes finer steps
         assert whole_cost[0] == pytest.approx(cost[s], rel=1e-5)
         shared = [
-            problem.free.tolist().index(problem.index[small.unknowns[row].key])
-            for row in small.free
+            problem.estimated.tolist().index(problem.index[small.unknowns[row].key])
+            for row in small.estimated
         ]
         np.testing.assert_allclose(
             whole_gradient[0, shared], gradient[s], rtol=5e-3, atol=1e-6 * np.abs(gradient[s]).max()
@@ -200,9 +200,9 @@ def test_fewer_unknowns_take_the_affine_path_to_the_same_numbers(problem: Proble
 
 
 def test_a_guess_that_cannot_be_simulated_costs_everything(problem: Problem) -> None:
-    u = problem.coordinates.internal(problem.base[problem.free])[None].repeat(2, axis=0)
+    u = problem.coordinates.internal(problem.base[problem.estimated])[None].repeat(2, axis=0)
     # lighter than the arm can be
-    u[1, 0] = problem.coordinates.internal(np.full(len(problem.free), -0.49))[0]
+    u[1, 0] = problem.coordinates.internal(np.full(len(problem.estimated), -0.49))[0]
     cost, gradient, matrix = problem.linearise(u)
     assert np.isfinite(cost[0]) and cost[1] == np.inf
     assert not gradient[1].any() and np.array_equal(matrix[1], np.eye(u.shape[1]))
@@ -245,7 +245,7 @@ def pooled() -> Problem:
         robot,
         runs,
         FACTS,
-        load_unknowns(robot, runs, FACTS, Role.FREE, 0.03),
+        load_unknowns(robot, runs, FACTS, Role.ESTIMATED, 0.03),
     )
 
 
@@ -298,8 +298,8 @@ def test_a_known_load_is_the_payload_at_that_mass(pooled: Problem) -> None:
     unknown = [replace(run, load=None) if row == 1 else run for row, run in enumerate(pooled.runs)]
     same = Problem(pooled.robot, unknown, FACTS, pooled.unknowns)
     np.testing.assert_allclose(
-        same.simulate(values, pooled.free[:1])[0][0, 1, : pooled.runs[1].used],
-        pooled.simulate(values, pooled.free[:1])[0][0, 1, : pooled.runs[1].used],
+        same.simulate(values, pooled.estimated[:1])[0][0, 1, : pooled.runs[1].used],
+        pooled.simulate(values, pooled.estimated[:1])[0][0, 1, : pooled.runs[1].used],
         atol=1e-12,
     )
 
@@ -328,7 +328,7 @@ def test_motion_tells_torques_only_relative_to_each_other(problem: Problem) -> N
         np.abs(values[:, problem.index["disturbance", run]]).min() > 1e-5
         for run in range(len(problem.runs))
     )
-    one, other = (problem.simulate(each, problem.free[:1])[0] for each in (values, scaled))
+    one, other = (problem.simulate(each, problem.estimated[:1])[0] for each in (values, scaled))
     np.testing.assert_allclose(other, one, atol=2e-6)
 
 

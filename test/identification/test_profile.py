@@ -36,13 +36,13 @@ def weighed(robot: Robot, bag: Path) -> FitResult:
     [run] = bag_runs(bag / "bag_mcap", Request(robot))
     prepared = [prepare_run(robot, run)]
     facts = PayloadFacts()
-    nominal = solve_load(robot, prepared, facts, SearchOptions(), Role.FROZEN)
+    nominal = solve_load(robot, prepared, facts, SearchOptions(), Role.FIXED)
     return solve_load(
         robot,
         prepared,
         facts,
         SearchOptions(),
-        Role.FREE,
+        Role.ESTIMATED,
         start=nominal,
     )
 
@@ -102,13 +102,13 @@ def test_everything_else_is_fitted_again_at_each_mass(opened: FitResult) -> None
     chosen = [1, len(masses) - 3]
     for row in chosen:
         unknowns = [
-            replace(u, value=masses[row], std=0.0, role=Role.FROZEN)
+            replace(u, value=masses[row], std=0.0, role=Role.FIXED)
             if u.kind == "payload_mass"
             else u
             for u in problem.unknowns
         ]
         held = Problem(problem.robot, problem.runs, PayloadFacts(), unknowns)
-        start = held.coordinates.internal(opened.values[held.free][None])
+        start = held.coordinates.internal(opened.values[held.estimated][None])
         again = FitResult.of(
             held,
             solvers.levenberg_marquardt(
@@ -129,7 +129,7 @@ def test_everything_else_is_fitted_again_at_each_mass(opened: FitResult) -> None
     values[:, 0] = masses[chosen]
     seen, _, _ = problem.simulate(
         values,
-        problem.free[:1],
+        problem.estimated[:1],
     )
     slice_ = np.einsum(
         "srt,srt->s",

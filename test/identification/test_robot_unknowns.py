@@ -43,14 +43,14 @@ def test_a_calibration_says_more_than_the_file(robot: Robot, runs: list[Prepared
         )
     )
     (before,), (after,) = (
-        [u for u in robot_unknowns(r, runs, Role.FREE) if u.key == key] for r in (robot, known)
+        [u for u in robot_unknowns(r, runs, Role.ESTIMATED) if u.key == key] for r in (robot, known)
     )
     assert (after.value, after.std) == (0.05, pytest.approx(1e-3)) and before.std > after.std
 
 
 def test_a_frozen_robot_still_starts_where_it_starts(robot: Robot, runs: list[PreparedRun]) -> None:
-    unknowns = load_unknowns(robot, runs, PayloadFacts(), Role.FROZEN, 0.05)
-    free = {u.key for u in unknowns if u.role is Role.FREE}
+    unknowns = load_unknowns(robot, runs, PayloadFacts(), Role.FIXED, 0.05)
+    free = {u.key for u in unknowns if u.role is Role.ESTIMATED}
     assert free == {"payload_mass", *((kind, row) for kind in ("q0", "v0") for row in range(2))}
 
 
@@ -74,9 +74,9 @@ def test_motors_of_one_kind_err_together_before_anything_is_learnt(
         robot,
         runs,
         PayloadFacts(),
-        robot_unknowns(robot, runs, Role.FREE),
+        robot_unknowns(robot, runs, Role.ESTIMATED),
     )
-    free = [problem.unknowns[row] for row in problem.free]
+    free = problem.estimated_unknowns()
     own = [f for f, unknown in enumerate(free) if unknown.kind == "torque_constant"]
     prior = np.linalg.inv(problem.coordinates.prior_precision[np.ix_(own, own)])
     std = np.array([free[f].std for f in own])

@@ -182,8 +182,8 @@ def test_mass_coordinate_is_a_logarithm_that_passes_through_zero() -> None:
 
 def test_an_unknown_that_is_known_exactly_stays_frozen() -> None:
     known = Unknown("torque_constant", 1.78, 0.0)
-    assert known.at_role(Role.FREE).role is Role.FROZEN
-    assert Unknown("torque_constant", 1.78, 0.1).at_role(Role.FREE).role is Role.FREE
+    assert known.at_role(Role.ESTIMATED).role is Role.FIXED
+    assert Unknown("torque_constant", 1.78, 0.1).at_role(Role.ESTIMATED).role is Role.ESTIMATED
     with pytest.raises(ConfigurationError, match="outside"):
         Unknown("coulomb", -0.1, 0.01, lower=0.0)
     with pytest.raises(ConfigurationError, match="std"):

@@ -60,7 +60,7 @@ def calibrated(robot: Robot) -> Robot:
     return robot.with_calibration(calibration)
 
 
-def pose(robot: Robot, pushes: tuple[str, ...], role: Role = Role.FROZEN) -> Posed:
+def pose(robot: Robot, pushes: tuple[str, ...], role: Role = Role.FIXED) -> Posed:
     """The first fit of some pushes together, and its five starts."""
     runs = [
         prepare_run(robot, run)
@@ -151,7 +151,7 @@ def test_curvature_is_that_of_one_problem(posed: list[Posed]) -> None:
 
 def test_what_bends_goes_alone(posed: list[Posed]) -> None:
     assert all(can_go_together(problem) for problem, _ in posed)
-    opened, _ = pose(load_robot(DEFAULT_ROBOT), PUSHES[:1], Role.FREE)
+    opened, _ = pose(load_robot(DEFAULT_ROBOT), PUSHES[:1], Role.ESTIMATED)
     assert not can_go_together(opened)
 
 

@@ -451,7 +451,7 @@ def problem_of(
         rolling,
         facts,
         priors,
-        Role.FREE,
+        Role.ESTIMATED,
     )
     seen = [
         *(tracks or [None] * len(runs)),
@@ -491,7 +491,7 @@ def test_gradient_of_the_cost(realistic: Boxes, law: str, mass: float) -> None:
     problem = problem_of(realistic, folders, [track], law)
     rng = np.random.default_rng(3)
     base = problem.coordinates.prior_mean.copy()
-    spread = np.array([u.std for u in problem.unknowns])[problem.free]
+    spread = np.array([u.std for u in problem.unknowns])[problem.estimated]
     base += (
         0.1
         * np.where(
@@ -501,7 +501,7 @@ def test_gradient_of_the_cost(realistic: Boxes, law: str, mass: float) -> None:
         )
         * rng.standard_normal(len(base))
     )
-    names = [problem.unknowns[row].name for row in problem.free]
+    names = [problem.unknowns[row].name for row in problem.estimated]
     base[names.index("sphere_mass")], base[names.index("payload_mass")] = mass, 0.03
     lower = problem.coordinates.physical(problem.coordinates.lower)
     upper = problem.coordinates.physical(problem.coordinates.upper)
@@ -536,7 +536,7 @@ def test_a_camera_makes_it_surer(realistic: Boxes) -> None:
     alone = problem_of(realistic, folders)
     values = alone.base.copy()
     values[alone.index["sphere_mass"]] = 0.012
-    path = alone.path(values, alone.free[:1])[0][0]
+    path = alone.path(values, alone.estimated[:1])[0][0]
     track = SphereTrack(alone.runs[0].times_s, path, 1e-3)
     both = problem_of(realistic, folders, [track])
     assert both.camera_rms(values) < 1e-6

@@ -105,8 +105,8 @@ def sensitivities(
     problem = chooser._problem([chooser.catalogue.standing(push) for push in pushes])
     values = problem.base.copy()
     values[problem.index["sphere_mass"]] = 0.02
-    _, _, dq = problem.simulate(values[None], problem.free)
-    free = [problem.unknowns[row] for row in problem.free]
+    _, _, dq = problem.simulate(values[None], problem.estimated)
+    free = problem.estimated_unknowns()
     in_common = [f for f, u in enumerate(free) if u.shared]
     places = [chooser._shared.at[free[f].key] for f in in_common]
     rows = []

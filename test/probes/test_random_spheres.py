@@ -289,7 +289,7 @@ def test_a_run_that_nothing_can_be_compared_with_contradicts_the_others(robot: R
         )
     assert whole.without([0]).rolling == (True, False) and whole.without([0]).runs == whole.runs[1:]
     for search, outlier in ((whole, 2), (whole.without([1]), 0)):
-        fit = search.solve(Role.FROZEN)
+        fit = search.solve(Role.FIXED)
         apart = WeighedSphere(fit, fit, Findings(), 3, search).contradiction(outlier)
         assert apart.half is None and "contradicts the other runs" in apart.sentence
 

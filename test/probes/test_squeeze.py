@@ -312,11 +312,11 @@ def test_gradient_of_the_cost(
             runs,
             squeezing,
             facts,
-            Role.FREE,
+            Role.ESTIMATED,
         ),
     )
     base = problem.coordinates.prior_mean.copy()
-    names = [problem.unknowns[row].name for row in problem.free]
+    names = [problem.unknowns[row].name for row in problem.estimated]
     base[names.index("youngs_modulus")] = modulus
     base[names.index("block_relaxation")] = 2e-3
     base[names.index("poissons_ratio")] = 0.25

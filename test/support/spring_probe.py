@@ -155,7 +155,7 @@ def find_spring(
 
     unknowns = [
         Unknown("spring_stiffness", 0.0, prior, -10.0, 10.0),
-        *robot_unknowns(robot, prepared, Role.FREE),
+        *robot_unknowns(robot, prepared, Role.ESTIMATED),
     ]
     problem = SpringProblem(robot, prepared, PayloadFacts(), unknowns)
     problem.with_spring = len(runs)

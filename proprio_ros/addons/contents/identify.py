@@ -73,7 +73,7 @@ LIQUID = (
 def evidence(known: Posterior) -> float:
     """Logarithm of a model's evidence, but for what all models share."""
     coordinates = known.problem.coordinates
-    off = known.values[known.problem.free] - coordinates.prior_mean
+    off = known.values[known.problem.estimated] - coordinates.prior_mean
     fit = float(known.residual @ known.residual) + float(off @ coordinates.prior_precision @ off)
     kept = sum(
         np.linalg.slogdet(matrix)[1] for matrix in (coordinates.prior_precision, known.covariance)
@@ -83,7 +83,7 @@ def evidence(known: Posterior) -> float:
 
 def left_over(fit: FitResult, rows: np.ndarray) -> float:
     """Mean square of what is left of some runs, in that of their encoders."""
-    shown = fit.problem.simulate(fit.values[None], fit.problem.free[:1])[0][0]
+    shown = fit.problem.simulate(fit.values[None], fit.problem.estimated[:1])[0][0]
     weight = fit.problem.weight
     squares = np.square((shown - fit.problem.measured) * weight)[rows]
     return float(squares.sum() / np.count_nonzero(weight[rows]))
@@ -162,7 +162,7 @@ def fitted(
         Returns:
             Where the starts ended.
         """
-        internal = problem.coordinates.internal(starts[:, problem.free])
+        internal = problem.coordinates.internal(starts[:, problem.estimated])
         return FitResult.of(
             problem, solvers.levenberg_marquardt(problem, internal, windows, tolerance=1e-2)
         )

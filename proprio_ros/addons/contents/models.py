@@ -360,10 +360,10 @@ class ContentsProblem(Problem):
         self._prepared = tuple(runs)
         self._turns = [turning_with(robot, run) for run in runs]
         self._now: InsideTerms | None = None
-        known = load_unknowns(robot, runs, facts.shell, Role.FREE, facts.mass)
+        known = load_unknowns(robot, runs, facts.shell, Role.ESTIMATED, facts.mass)
         known[0] = replace(
             known[0], std=facts.mass_std if np.isfinite(facts.mass_std) else MASS_STD_KG
-        ).at_role(Role.FREE)
+        ).at_role(Role.ESTIMATED)
         super().__init__(
             robot,
             runs,
@@ -473,7 +473,7 @@ class ContentsProblem(Problem):
 
     def held(self, values: np.ndarray) -> list[PreparedRun]:
         """The runs with held joints that give way as their servos let them where all else moves by these unknowns, shape (N,)."""
-        p = self.parameters(values[None], self.free[:1])[0][0]
+        p = self.parameters(values[None], self.estimated[:1])[0][0]
         fine = [
             replace(run, sample_times_s=np.arange(0.0, run.sample_times_s[-1] + FINE_S, FINE_S))
             for run in self.simulator.runs
@@ -523,7 +523,7 @@ class ContentsProblem(Problem):
         rows = np.flatnonzero(self.filled)
         if not isinstance(self.simulator, MixedSimulator):
             return []
-        p, _ = self.parameters(values[None], self.free[:1])
+        p, _ = self.parameters(values[None], self.estimated[:1])
         x = self.simulator.special.path(
             np.arange(len(rows)),
             p[0, rows],

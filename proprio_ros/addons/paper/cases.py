@@ -86,7 +86,7 @@ def one_lift(robot: Robot, run: Run, facts: PayloadFacts) -> Problem:
             robot,
             [prepared],
             facts,
-            Role.FROZEN,
+            Role.FIXED,
             0.05,
         ),
     )
@@ -124,8 +124,8 @@ def squeezed(
     facts = BlockFacts(np.full(3, EDGE_M))
     prepared = prepare_run(robot, run, KnownLoad(), past_fast=True)
     unknowns = [
-        u if u.kind == "youngs_modulus" else replace(u, role=Role.FROZEN)
-        for u in block_unknowns(robot, [prepared], [True], facts, Role.FROZEN)
+        u if u.kind == "youngs_modulus" else replace(u, role=Role.FIXED)
+        for u in block_unknowns(robot, [prepared], [True], facts, Role.FIXED)
     ]
     problem = SqueezeProblem(
         robot,
@@ -139,5 +139,5 @@ def squeezed(
     values[:, problem.index["youngs_modulus"]] = moduli
     values[:, problem.index["poissons_ratio"]] = ratio
     values[:, problem.index["gap", 0]] = 2.0 * GAP_M
-    q, _, _ = problem.simulate(values, problem.free)
+    q, _, _ = problem.simulate(values, problem.estimated)
     return problem, q[:, 0, : problem.runs[0].used]

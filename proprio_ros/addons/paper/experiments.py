@@ -104,7 +104,7 @@ def _lift_trace(
     whole = last_frame_loss(robot, run, facts, PaperOptions()).whole
     q, _, _ = whole.simulate(
         whole.all_values(np.array([[m] for m in masses.values()])),
-        whole.free,
+        whole.estimated,
     )
     used = whole.runs[0].used
     return {
@@ -396,7 +396,7 @@ def effects(seed: int) -> Rows:
         """
         options = SearchOptions(integrator=integrator, step_s=step_s)
         fit = solve_load(
-            changed, [prepare_run(changed, run, None, facts)], facts, options, Role.FROZEN
+            changed, [prepare_run(changed, run, None, facts)], facts, options, Role.FIXED
         )
         return float(fit.values[fit.problem.index["payload_mass"]])
 

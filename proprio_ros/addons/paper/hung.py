@@ -308,7 +308,7 @@ def hung_unknowns(
             *hung.frequency,
             5.0,
             60.0,
-            role=Role.FREE if slides else Role.FROZEN,
+            role=Role.ESTIMATED if slides else Role.FIXED,
         ),
         Unknown("payload_decay", *DECAY, 0.0, 50.0),
     ]
@@ -317,10 +317,10 @@ def hung_unknowns(
         unknowns.append(Unknown(f"payload_start_{n}", 0.0, start_std, scope=row))
         unknowns.append(Unknown(f"payload_speed_{n}", 0.0, speed_std, scope=row))
     return unknowns + [
-        replace(u, value=0.0 if u.kind == "stribeck" else u.value, role=Role.FROZEN)
+        replace(u, value=0.0 if u.kind == "stribeck" else u.value, role=Role.FIXED)
         if u.kind in NOT_IN_A_CHAIN
         else u
-        for u in robot_unknowns(robot, runs, Role.FREE)
+        for u in robot_unknowns(robot, runs, Role.ESTIMATED)
     ]
 
 

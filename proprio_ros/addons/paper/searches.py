@@ -197,7 +197,7 @@ def _over_mass(seed: int) -> Rows:
     whole = one_lift(robot, run, facts)
     inside = np.tile(whole.coordinates.prior_mean, (len(masses), 1))
     inside[:, 0] = masses
-    q, _, _ = whole.simulate(whole.all_values(inside), whole.free)
+    q, _, _ = whole.simulate(whole.all_values(inside), whole.estimated)
     seen = whole.runs[0]
     last = loss(np.maximum(masses, 1e-6)[:, None])[0]
     off = q[:, 0, : seen.used] - seen.position

@@ -46,7 +46,7 @@ class _Case:
         self.facts = PayloadFacts(shape=PayloadShape.of("sphere", 0.04))
         self.problem = one_lift(robot, run, self.facts)
         (self.prepared,) = self.problem.runs
-        names = [self.problem.unknowns[row].kind for row in self.problem.free]
+        names = [self.problem.unknowns[row].kind for row in self.problem.estimated]
         if names != ["payload_mass", "q0", "v0"] or len(run.input_times_s) != 1:
             wanted = "the comparison wants one constant current, and a robot file without friction"
             raise ConfigurationError(f"{BAG}: {wanted}")
@@ -137,7 +137,7 @@ def _rolled_by_scipy(case: _Case) -> Callable[[np.ndarray], np.ndarray]:
     values[0, 0] = 0.0
     p, dp = case.problem.parameters(
         case.problem.all_values(values),
-        case.problem.free,
+        case.problem.estimated,
     )
     empty = p[0, 0]
     per_kg = dp[0, 0, :, 0]

@@ -152,10 +152,8 @@ class SphereLastFrame:
             problem.sphere_run(robot, prepared, facts, nothing), facts, prepared.rest.value
         )
         unknowns = [
-            u if u.kind == "sphere_mass" else replace(u, role=Role.FROZEN)
-            for u in problem.container_unknowns(
-                robot, [at_end], [True], facts, [prior], Role.FROZEN
-            )
+            u if u.kind == "sphere_mass" else replace(u, role=Role.FIXED)
+            for u in problem.container_unknowns(robot, [at_end], [True], facts, [prior], Role.FIXED)
         ]
         self.problem = problem.ContainerProblem(
             robot, [at_end], facts, [True], unknowns, "semi_implicit"

@@ -136,7 +136,7 @@ def _unknown_rows(calibration: MotionCalibration, prior: Prior) -> tuple[Unknown
         UnknownRow(
             kind,
             scope=joint,
-            role=Role.FREE.value,
+            role=Role.ESTIMATED.value,
             prior=prior.values[term],
             prior_std=prior_std[term],
             value=calibration.values[term],

@@ -196,7 +196,7 @@ class SphereUntilSure(CatalogueChooser):
     def _fitted(self, before: FitResult | None) -> FitResult:
         """All runs together, from where those before ended."""
         if before is not None:
-            fit = self._search.solve(Role.FREE, before, rough=True)
+            fit = self._search.solve(Role.ESTIMATED, before, rough=True)
             if fit.explains or not before.explains:
                 return fit
         # the first run, or one that shows that the valley found so far was a wrong one
@@ -365,7 +365,7 @@ class SphereUntilSure(CatalogueChooser):
             rolling=every,
             tracks=(None,) * len(runs),
         )
-        return search.problem(Role.FREE)[0]
+        return search.problem(Role.ESTIMATED)[0]
 
     def _geometry(self, run: PreparedRun) -> SphereRun:
         key = run.run.joint, tuple(run.run.held.items())

@@ -141,8 +141,8 @@ def find_sphere(
                 0, f"the sphere bounces too chaotically to determine its mass: {better}"
             )
             return _no_answer(robot, len(runs), found)
-        nominal = search.solve(Role.FROZEN)
-        opened = search.solve(Role.FREE, nominal)
+        nominal = search.solve(Role.FIXED)
+        opened = search.solve(Role.ESTIMATED, nominal)
     return WeighedSphere(nominal, opened, found, len(runs), search, against=against).estimate()
 
 
@@ -260,7 +260,7 @@ class WeighedSphere(Conclusion):
             for changed in _off_by_its_spread(self.facts, key):
                 other = self._with(changed)
                 values = other.base.copy()
-                values[self.problem.free] = self.fit.values[self.problem.free]
+                values[self.problem.estimated] = self.fit.values[self.problem.estimated]
                 for at in self._start_rows(other):
                     # where it lay moves with the walls
                     values[at] = (
@@ -287,7 +287,7 @@ class WeighedSphere(Conclusion):
 
     def _with(self, facts: ContainerFacts) -> ContainerProblem:
         """The problem under other facts."""
-        return replace(self.search, facts=facts).problem(Role.FREE)[0]
+        return replace(self.search, facts=facts).problem(Role.ESTIMATED)[0]
 
     def _shift(self, other: ContainerProblem, values: np.ndarray) -> float:
         """By how much the mass would follow another problem with these values of all unknowns (changed), to first order [kg]."""
@@ -302,11 +302,11 @@ class WeighedSphere(Conclusion):
             )
         soft, _, _ = self.problem.simulate(
             fit.values[None],
-            self.problem.free[:1],
+            self.problem.estimated[:1],
         )
         hard, _, _ = other.simulate(
             values[None],
-            other.free[:1],
+            other.estimated[:1],
         )
         seen = self.problem.weight > 0.0
         off = ((soft - hard)[0] * self.problem.weight)[seen]
@@ -416,11 +416,11 @@ class WeighedSphere(Conclusion):
     def paths(self) -> tuple[SpherePath, ...]:
         """Where the sphere is believed to have been, in each run that has one."""
         problem = self.problem
-        free = problem.free
-        own = self.assessed.covariance[np.ix_(free, free)]
+        estimated = problem.estimated
+        own = self.assessed.covariance[np.ix_(estimated, estimated)]
         enclosure = problem.container.enclosure
-        q, _, _ = problem.simulate(self.fit.values[None], free[:1])
-        found = problem.path(self.fit.values, free)
+        q, _, _ = problem.simulate(self.fit.values[None], estimated[:1])
+        found = problem.path(self.fit.values, estimated)
         geometries = problem.simulator.special.sphere_runs
         paths = []
         for row, (x, dx), geometry in zip(self.rolling, found, geometries, strict=True):

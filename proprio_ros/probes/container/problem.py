@@ -271,7 +271,7 @@ def container_unknowns(
         drive_role: What the recording may move of the robot and of the contact.
     """
     unknowns = load_unknowns(robot, runs, facts.shell, drive_role, facts.mass)
-    unknowns[0] = replace(unknowns[0], std=facts.mass_std).at_role(Role.FREE)
+    unknowns[0] = replace(unknowns[0], std=facts.mass_std).at_role(Role.ESTIMATED)
     lightest = LIGHTEST_KG if facts.law == "paper" else -0.2
     unknowns.append(
         Unknown(
@@ -293,7 +293,7 @@ def container_unknowns(
         bounds = [prior.mean, prior.std, prior.lower, prior.upper]
         ranges = np.stack(bounds, axis=1).tolist()
         unknowns += [
-            Unknown(f"sphere_{axis}", *known, scope=row).at_role(Role.FREE)
+            Unknown(f"sphere_{axis}", *known, scope=row).at_role(Role.ESTIMATED)
             for axis, known in zip("xyz", ranges, strict=True)
         ]
     return unknowns
@@ -530,10 +530,10 @@ class ContainerProblem(Problem):
     def other_information(self, values: np.ndarray) -> np.ndarray:
         information = super().other_information(values)
         if self._seen:
-            paths = self.path(values, self.free)
+            paths = self.path(values, self.estimated)
             for seen in self._seen:
                 by = np.einsum("ck,kif->cif", seen.between, paths[seen.rolling_row][1]).reshape(
-                    -1, len(self.free)
+                    -1, len(self.estimated)
                 )
                 information += by.T @ by / seen.track.std**2
         return information
@@ -542,7 +542,7 @@ class ContainerProblem(Problem):
         """How far the simulated sphere is from where the camera saw it, per coordinate [m]; NaN without a camera."""
         if not self._seen:
             return float("nan")
-        paths = self.path(values, self.free[:1])
+        paths = self.path(values, self.estimated[:1])
         off = [
             seen.between @ paths[seen.rolling_row][0] - seen.track.position for seen in self._seen
         ]

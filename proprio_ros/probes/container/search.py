@@ -148,9 +148,9 @@ class SphereSearch:
             rough: Enough to choose the next run by, or to start another fit from.
         """
         problem, guesses = self.problem(role)
-        free = list(problem.free)
+        estimated = list(problem.estimated)
         if start is not None:
-            starts = _carried_over(start, problem)[:, free]
+            starts = _carried_over(start, problem)[:, estimated]
             if self.robot.calibration is None:
                 starts = np.concatenate([starts, *_with_friction(problem, starts)])
             solution = solvers.levenberg_marquardt(
@@ -172,7 +172,7 @@ class SphereSearch:
             starts[:, columns] = np.repeat(
                 guess[np.arange(places) % len(guess)], len(masses), axis=0
             )
-        internal = problem.coordinates.internal(starts[:, free])
+        internal = problem.coordinates.internal(starts[:, estimated])
         solution = solvers.levenberg_marquardt(
             problem,
             internal,
@@ -210,7 +210,7 @@ def _with_friction(problem: ContainerProblem, starts: np.ndarray) -> list[np.nda
     levels = []
     for level_N_m in FRICTION_STARTS:
         other = starts.copy()
-        for column, row in enumerate(problem.free):
+        for column, row in enumerate(problem.estimated):
             unknown = problem.unknowns[row]
             if unknown.kind == "coulomb" and unknown.value < level_N_m:
                 other[:, column] = min(level_N_m, unknown.value + 2.0 * unknown.std)
@@ -266,7 +266,7 @@ def lost_at(fit: FitResult) -> dict[int, int]:
     covariance = Posterior(problem, fit.values).covariance
     cut: dict[int, int] = {}
     rows = np.flatnonzero(problem.rolling)
-    paths = problem.path(fit.values, problem.free)
+    paths = problem.path(fit.values, problem.estimated)
     for row, (_, dx), run in zip(rows, paths, problem.simulator.special.sphere_runs, strict=True):
         off = np.einsum("ij,kjf->kif", run.across, dx)
         std = np.sqrt(np.einsum("kif,fg,kig->ki", off, covariance, off).max(axis=1))

@@ -117,7 +117,7 @@ class Payload(
             return weigh_with_advice(
                 robot, recorded.runs, facts.payload, facts.weighing, recorded.baseline
             )
-        swings = [run.name for run in recorded.runs if run.free]
+        swings = [run.name for run in recorded.runs if run.is_free_response]
         if swings:
             raise RecordingError(
                 f"{swings[0]} is a free swing; the paper's method wants a joint that a current drives"

@@ -307,7 +307,7 @@ def _nominal_and_open(
     known = robot.is_calibrated(joints_of(runs))
 
     def solve(role: Role, start: FitResult | None = None) -> FitResult:
-        rough = known and role is Role.FROZEN
+        rough = known and role is Role.FIXED
         return solve_load(robot, runs, facts, options, role, start, rough=rough)
 
     def again(nominal: FitResult, opened: FitResult) -> bool:
@@ -436,7 +436,7 @@ def _followed(
 ) -> tuple[FitResult, FitResult, str]:
     """The first fit of swings, that with the error that they show, and why no swing of this robot explains them, or nothing."""
     known = robot.swing_error
-    opened = searched = solve_load(robot, runs, facts, options, Role.FREE)
+    opened = searched = solve_load(robot, runs, facts, options, Role.ESTIMATED)
     for _ in range(SWING_ROUNDS):
         posterior = Posterior(opened.problem, opened.values)
         error = max(swings.swing_error(posterior), known)
@@ -444,7 +444,7 @@ def _followed(
             break
         robot = replace(robot, swing_error=error)
         runs = [prepare_run(robot, run.run, run.load, facts) for run in runs]
-        opened = solve_load(robot, runs, facts, options, Role.FREE, start=opened)
+        opened = solve_load(robot, runs, facts, options, Role.ESTIMATED, start=opened)
     misfit = ""
     share = swings.missed_share(posterior)
     if share > swings.MISSED_SHARE:
@@ -500,7 +500,7 @@ class Weighed(Conclusion):
     @property
     def swings(self) -> bool:
         """Whether the runs are free swings."""
-        return self.runs[0].run.free
+        return self.runs[0].run.is_free_response
 
     @property
     def fit(self) -> FitResult:
@@ -682,7 +682,7 @@ class Weighed(Conclusion):
         # with the robot as its file states it: free friction can imitate a start velocity, and the other way round
         options = replace(self.options, solver="lm")
         moving = solve_load(
-            self.robot, self.runs, self.facts, options, Role.FROZEN, start_velocity_std=10.0
+            self.robot, self.runs, self.facts, options, Role.FIXED, start_velocity_std=10.0
         )
         if not moving.chi2 < 0.5 * self.fit.chi2:
             return []

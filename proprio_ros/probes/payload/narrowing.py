@@ -93,9 +93,9 @@ def half_width_with_more(weighed: Weighed, times: int) -> float:
         for run in runs
     ]
     robot = made.robot
-    unknowns = load_unknowns(robot, runs, made.facts, Role.FREE, weighed.assessed.value)
+    unknowns = load_unknowns(robot, runs, made.facts, Role.ESTIMATED, weighed.assessed.value)
     foreseen = _foreseen(weighed, runs, unknowns, origins)
-    place = list(foreseen.problem.free).index(foreseen.problem.index[weighed.name])
+    place = foreseen.problem.column_of(weighed.name)
     return _half_width(weighed, float(foreseen.covariance[place, place]))
 
 
@@ -108,11 +108,13 @@ def half_width_with_known_load(weighed: Weighed, load_kg: float) -> float:
     """
     made = weighed.opened.problem
     learnt = _learnt(weighed, KnownLoad(load_kg, weighed.facts))
-    at = {learnt.problem.unknowns[row].key: n for n, row in enumerate(learnt.problem.free)}
-    free = [made.unknowns[row] for row in made.free]
-    shared = [place for place, unknown in enumerate(free) if unknown.shared and unknown.key in at]
-    taken = [at[free[place].key] for place in shared]
-    elsewhere = np.array([free[place].kind == "zero" for place in shared])
+    at = {learnt.problem.unknowns[row].key: n for n, row in enumerate(learnt.problem.estimated)}
+    estimated = made.estimated_unknowns()
+    shared = [
+        place for place, unknown in enumerate(estimated) if unknown.shared and unknown.key in at
+    ]
+    taken = [at[estimated[place].key] for place in shared]
+    elsewhere = np.array([estimated[place].kind == "zero" for place in shared])
     prior = learnt.covariance[np.ix_(taken, taken)]
     prior = prior + np.diag(weighed.assessed.zero_repeat**2 * elsewhere)
     precision = made.coordinates.prior_precision.copy()
@@ -128,7 +130,7 @@ def _learnt(weighed: Weighed, load: KnownLoad) -> Posterior:
     made = weighed.opened.problem
     rows = [row for row, run in enumerate(made.runs) if run.load is None]
     runs = [replace(made.runs[row], load=load) for row in rows]
-    unknowns = robot_unknowns(replace(made.robot, zero_repeat=0.0), runs, Role.FREE)
+    unknowns = robot_unknowns(replace(made.robot, zero_repeat=0.0), runs, Role.ESTIMATED)
     return _foreseen(weighed, runs, unknowns, rows, zero_repeat=0.0)
 
 

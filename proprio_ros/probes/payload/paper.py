@@ -309,8 +309,8 @@ class LastFrame:
         )
         # nothing but the mass is unknown: everything else keeps the value of the robot file
         unknowns = [
-            u if u.kind == "payload_mass" else replace(u, role=Role.FROZEN)
-            for u in load_unknowns(robot, [run], facts, Role.FROZEN, 0.05)
+            u if u.kind == "payload_mass" else replace(u, role=Role.FIXED)
+            for u in load_unknowns(robot, [run], facts, Role.FIXED, 0.05)
         ]
         self._problem = Problem(robot, [at_rest], facts, unknowns, "semi_implicit", step_s)
         self.whole = Problem(robot, [run], facts, unknowns, "semi_implicit", step_s)

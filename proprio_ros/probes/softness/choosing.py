@@ -147,15 +147,15 @@ class SqueezesUntilSure(Chooser):
         search = SqueezeSearch(
             self.robot, tuple(runs), (True,) * len(runs), self._facts, self._options
         )
-        problem = search.problem(Role.FREE)
+        problem = search.problem(Role.ESTIMATED)
         with np.errstate(over="ignore", invalid="ignore"):
-            q, v, dq = problem.simulate(_carried_over(fit, problem)[None], problem.free)
+            q, v, dq = problem.simulate(_carried_over(fit, problem)[None], problem.estimated)
         velocity = v[0]  # (C, T)
-        slopes = dq[0]  # by the free unknowns, (C, T, free)
+        slopes = dq[0]  # by the estimated unknowns, (C, T, F)
         away = q[0] - runs[0].rest.value
         alive = self._alive(away, velocity, slopes)
         columns, variance = self._shared.columns_of(problem)
-        at = np.searchsorted(problem.free, columns)
+        at = np.searchsorted(problem.estimated, columns)
         by_unknown = np.stack([slopes[run][:, own] for run, own in enumerate(at)])
         reading_std = np.array([run.sigma[0] for run in runs])
         rows = whitened(by_unknown, velocity, alive, reading_std, self.robot.stamp_jitter_s)

@@ -132,11 +132,11 @@ class SqueezeSearch:
         guesses = self.options.starts_Pa
         if start is None:
             starts = np.tile(problem.coordinates.prior_mean, (len(guesses), 1))
-            starts[:, list(problem.free).index(problem.index["youngs_modulus"])] = guesses
+            starts[:, problem.column_of("youngs_modulus")] = guesses
             windows = problem.simulator.windows
             tolerance = 1e-3
         else:
-            starts = start.values_of(problem.unknowns)[problem.free][None]
+            starts = start.values_of(problem.unknowns)[problem.estimated][None]
             windows = None
             tolerance = 1e-4
         internal = problem.coordinates.internal(starts)
@@ -220,7 +220,7 @@ def fit_squeezes(
         options,
     )
     if before is not None:
-        fit = search.solve(Role.FREE, before)
+        fit = search.solve(Role.ESTIMATED, before)
         if fit.explains:
             return fit
     return fit_opened(search.solve)

@@ -109,10 +109,12 @@ def block_unknowns(
         Unknown(
             "youngs_modulus", START_PA, np.inf, SOFTEST_PA, STIFFEST_PA, asinh_scale=SOFTEST_PA
         ),
-        Unknown("poissons_ratio", ratio.value, ratio.std, 0.0, HIGHEST_RATIO).at_role(Role.FREE),
+        Unknown("poissons_ratio", ratio.value, ratio.std, 0.0, HIGHEST_RATIO).at_role(
+            Role.ESTIMATED
+        ),
         Unknown(
             "block_relaxation", relaxation.value, relaxation.std, LEAST_RELAXATION_S, 1.0
-        ).at_role(Role.FREE),
+        ).at_role(Role.ESTIMATED),
     ]
     gaps = [
         Unknown("gap", gap.value, gap.std, -0.01, 0.1, scope=row)
@@ -120,7 +122,7 @@ def block_unknowns(
     ]
     return [
         *unknowns,
-        *(gap.at_role(Role.FREE) for gap in gaps),
+        *(gap.at_role(Role.ESTIMATED) for gap in gaps),
         *robot_unknowns(robot, runs, drive_role),
     ]
 
@@ -213,9 +215,9 @@ class SqueezeProblem(Problem):
         """Squeeze relative to the block's length at the used samples of each run with it, as simulated; shapes (K,)."""
         q, _, _ = self.simulate(
             values[None],
-            self.free[:1],
+            self.estimated[:1],
         )
-        p, _ = self.parameters(values[None], self.free[:1])
+        p, _ = self.parameters(values[None], self.estimated[:1])
         rows = np.flatnonzero(self.squeezing)
         squeeze = self.simulator.special.squeeze(
             np.arange(len(rows)),

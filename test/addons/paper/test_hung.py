@@ -70,8 +70,8 @@ def test_without_mass_it_is_the_single_joint(
     ours = problem(hung, swinging[0])
     values = ours.base[None].copy()
     values[0, ours.index["payload_mass"]] = 1e-9
-    p, _ = ours.parameters(values, ours.free)
-    q, _, _ = ours.simulate(values, ours.free)
+    p, _ = ours.parameters(values, ours.estimated)
+    q, _, _ = ours.simulate(values, ours.estimated)
     alone = JointSimulator([replace(ours.simulator.runs[0], input_load=None)])
     width = len(alone.parameters)
     expected, _ = alone.rollout(
@@ -97,7 +97,7 @@ def test_sensitivities_against_finite_differences(
         [
             row
             for row, u in enumerate(ours.unknowns)
-            if u.kind.startswith("payload_") and u.role is Role.FREE
+            if u.kind.startswith("payload_") and u.role is Role.ESTIMATED
         ]
     )
     values = ours.base.copy()
