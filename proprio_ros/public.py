@@ -28,6 +28,7 @@ MODULES: dict[str, tuple[str, ...]] = {
         "commands",
         "machine",
         "plans",
+        "ways",
     ),
     "identification": (
         "coefficients",
@@ -101,7 +102,10 @@ MODULES: dict[str, tuple[str, ...]] = {
         "figures",
         "html",
     ),
-    "robot": ("",),
+    "robot": (
+        "",
+        "kinematics",
+    ),
     "sim": (
         "energies",
         "joint",

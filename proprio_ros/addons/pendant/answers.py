@@ -4,17 +4,16 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Mapping
-from html import escape
 from pathlib import Path
-from typing import Any
 
 from proprio_ros.addons.pendant.calls import Call
-from proprio_ros.addons.pendant.results import reason_list
+from proprio_ros.addons.pendant.results import DONE, reason_list, shown_answer, verdict
 from proprio_ros.addons.pendant.words import answer_of
 
 _KEPT = re.compile(r"\b(recording|calibration): (\S[^;]*)")
+_RUNS = re.compile(r'<figure>(<svg class="chart" role="img" aria-label="Run .+?)</figure>', re.S)
 REPORT = "report.html"
+MOST_RUNS = 24
 
 
 def folder_of(message: str) -> Path | None:
@@ -32,34 +31,24 @@ def report_of(call: Call | None) -> Path | None:
     return page if page is not None and page.is_file() else None
 
 
+def figures_of(page: Path | None) -> str:
+    """What was measured and simulated in each run, as the page of an answer draws it."""
+    text = page.read_text(encoding="utf-8") if page is not None else ""
+    return "".join(_RUNS.findall(text)[:MOST_RUNS])
+
+
 def answer(call: Call) -> str:
     """All that came of it."""
     found = call.answer or {}
     message = str(found.get("message", ""))
     estimate = found.get("estimate") or {}
-    number, interval = answer_of(estimate)
-    verdict = str(estimate.get("verdict", ""))
-    if not verdict:
-        verdict = "done" if found.get("success") else "not done"
-    kind = "good" if found.get("success") else "bad"
-    lines = [
-        f'<p class="verdict {kind}">{escape(verdict.replace("_", " "))}</p>',
-        f'<p class="number">{escape(number)}</p>' * bool(number),
-        f'<p class="interval">{escape(interval)}</p>' * bool(number),
-    ]
-    if not number:
-        lines.append(f'<p class="state">{escape(_KEPT.sub("", message).strip("; "))}</p>')
-    return "".join(lines) + _reasons(
-        estimate,
-        message,
-    )
-
-
-def _reasons(estimate: Mapping[str, Any], message: str) -> str:
-    """Why, and what to do: by their codes, where the file of the answer is on this computer."""
+    badge = verdict(str(estimate.get("verdict") or (DONE if found.get("success") else "not done")))
+    otherwise = _KEPT.sub("", message).strip("; ")
     said = [str(estimate[key]) for key in estimate if key.startswith("reason.")]
+    # by their codes, where the file of the answer is on this computer
     codes = _codes(message)
-    return reason_list(said, codes if len(codes) == len(said) else [])
+    why = reason_list(said, codes if len(codes) == len(said) else [])
+    return shown_answer(badge, *answer_of(estimate), otherwise) + why
 
 
 def _codes(message: str) -> list[str]:

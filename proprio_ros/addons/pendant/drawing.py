@@ -11,6 +11,8 @@ import numpy as np
 from nicegui import ui
 from nicegui.elements.scene import Scene
 
+from proprio_ros.addons.pendant.ways import Ways
+from proprio_ros.addons.pendant.words import Body
 from proprio_ros.robot import RobotModel
 
 BAR = "#8a97a8"
@@ -19,6 +21,12 @@ HAND = "#c7772a"
 GROUND = "#eceff3"
 SLIM = 0.03
 """Radius of a bar, of the arm's reach."""
+HELD = "#3f8f5f"
+LEAST_M = 0.002
+"""What is smaller is not seen."""
+GREY = [0.35, 0.39, 0.45]
+ORANGE = [0.8, 0.4, 0.05]
+POINT_M = 0.006
 SEEN = 1e-3
 """What moves less is not seen [rad or m]."""
 Ends = list[tuple[np.ndarray, bool]]
@@ -64,19 +72,9 @@ class Drawing:
     def __init__(self, model: RobotModel, hand: str) -> None:
         self._model = model
         self._shown: dict[str, float] = {}
+        self._body: Body | None = None
         ends = ends_of(model)
-        origins = [joint.origin[:3, 3] for joint in model.joints]
-        reach = (
-            float(
-                sum(
-                    map(
-                        np.linalg.norm,
-                        origins,
-                    )
-                )
-            )
-            or 1.0
-        )
+        reach = float(sum(np.linalg.norm(joint.origin[:3, 3]) for joint in model.joints)) or 1.0
         self.scene = _scene(reach)
         self._groups = {}
         with self.scene:
@@ -92,16 +90,12 @@ class Drawing:
                         )
                     if link.name == hand:
                         self.scene.sphere(1.6 * SLIM * reach).material(HAND)
+                        self._held = self.scene.sphere(1.0).material(HELD, opacity=0.6)
+                        self._held.visible(False)
 
     def show(self, positions: Mapping[str, float]) -> None:
         """Where the joints are now [rad or m]; those that are not known stand at zero."""
-        pose = {
-            **dict.fromkeys(
-                self._model.independent_joints,
-                0.0,
-            ),
-            **positions,
-        }
+        pose = {**dict.fromkeys(self._model.independent_joints, 0.0), **positions}
         if self._shown and all(abs(pose[name] - at) < SEEN for name, at in self._shown.items()):
             return
         self._shown = {name: pose[name] for name in self._model.independent_joints}
@@ -109,6 +103,22 @@ class Drawing:
             place = self._model.frame_transform(name, pose)
             group.move(*place[:3, 3].tolist())
             group.rotate_R(place[:3, :3].tolist())
+
+    def hold(self, body: Body | None) -> None:
+        """Draw what is in the hand; None: nothing."""
+        if body == self._body:
+            return
+        self._body = body
+        self._held.visible(body is not None)
+        if body is not None:
+            self._held.move(*body.centre_m)
+            self._held.scale(*[max(half, LEAST_M) for half in body.half_m])
+
+    def ways(self, ways: Ways) -> None:
+        """Draw where the hand will go."""
+        with self.scene:
+            for points, colour in ((ways.between_m, GREY), (ways.pushed_m, ORANGE)):
+                self.scene.point_cloud(points, [colour] * len(points), POINT_M)
 
 
 def _scene(reach: float) -> Scene:

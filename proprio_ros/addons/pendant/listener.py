@@ -12,6 +12,7 @@ from typing import Any
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from geometry_msgs.msg import InertiaStamped
 from rcl_interfaces.srv import GetParameters, SetParameters
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
@@ -22,12 +23,14 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, Float64MultiArray
 from std_srvs.srv import Trigger
 
-from proprio_ros.addons.pendant.news import News, Said
+from proprio_ros.addons.pendant.news import Held, News, Said
 from proprio_ros.errors import ConfigurationError
 from proprio_ros.nodes import messages, middleware
 from proprio_ros.nodes.qos import LATCHED
 
 LOOK_S = 0.05
+PUSHED_S = 0.01
+"""So often while a joint is pushed, whose way is drawn."""
 NODES_S = 1.0
 ANSWER_S = 5.0
 """So long a node may take for a small question."""
@@ -153,6 +156,7 @@ class Listener:
             (DiagnosticStatus, f"{identifier}/capability", self._on("capability"), LATCHED),
             (DiagnosticArray, f"{identifier}/estimate", self._on_estimate, LATCHED),
             (Bool, f"{identifier}/holding", lambda said: hear("holding", bool(said.data)), LATCHED),
+            (InertiaStamped, f"{identifier}/payload", self._on_payload, LATCHED),
             (Float64MultiArray, f"{self._base}/motor_temperatures", self._on_motors, NEWEST),
         ):
             subscription = self._node.create_subscription(
@@ -165,7 +169,7 @@ class Listener:
 
     def _spin(self) -> None:
         looked_s = 0.0
-        while not self._ended.wait(LOOK_S):
+        while not self._ended.wait(PUSHED_S if self._news.pushing else LOOK_S):
             now_s = time.monotonic()
             for subscription, take in self._takes:
                 _take_newest(subscription, take)
@@ -210,6 +214,10 @@ class Listener:
         if len(found) > 1:
             self._news.hear("diagnostics", found)
 
+    def _on_payload(self, message: InertiaStamped) -> None:
+        centre = message.inertia.com
+        self._news.hear("payload", Held(message.inertia.m, (centre.x, centre.y, centre.z)))
+
     def _on_motors(self, message: Float64MultiArray) -> None:
         self._news.hear(
             "temperatures",
@@ -229,16 +237,8 @@ def _take_newest(subscription: Any, take: Callable[[Any], None]) -> None:
 
 
 def _said(message: DiagnosticStatus) -> Said:
-    level = (
-        message.level[0]
-        if isinstance(
-            message.level,
-            bytes,
-        )
-        else int(message.level)
-    )
     return Said(
-        level,
+        message.level[0],
         str(message.name),
         str(message.message),
         messages.values_of(message),

@@ -7,11 +7,15 @@ import math
 from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from functools import partial
 from time import monotonic
 from typing import Any
 
 CURVE_S = 60.0
 """So much of the mass is kept."""
+MOST_PUSHES = 60
+MOST_SAMPLES = 2000
+"""Of a push."""
 OLD_S = {
     "states": 1.0,
     "running": 1.0,
@@ -30,6 +34,47 @@ class Said:
     name: str
     message: str
     values: Mapping[str, str]
+
+
+NOTHING = Said(0, "", "", {})
+
+
+@dataclass(frozen=True)
+class Held:
+    """A body in the hand, in the frame of the link that holds it.
+
+    Attributes:
+        mass_kg: Its mass.
+        centre_m: Of its mass, shape (3,).
+    """
+
+    mass_kg: float
+    centre_m: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class Push:
+    """Joints while one is pushed.
+
+    Attributes:
+        times_s: By the clock.
+        positions: Of all joints at these times [rad or m].
+    """
+
+    times_s: list[float] = field(default_factory=list)
+    positions: list[dict[str, float]] = field(default_factory=list)
+
+    def curve(self) -> tuple[str, list[list[float]]]:
+        """The joint that went farthest, and its way: times from the begin [s], positions [rad or m]."""
+        first = self.positions[0]
+        travels = {
+            name: max(abs(each[name] - at) for each in self.positions) for name, at in first.items()
+        }
+        joint = max(travels, key=lambda name: travels[name])
+        way = zip(self.times_s, self.positions, strict=True)
+        return joint, [
+            [round(time_s - self.times_s[0], 3), round(each[joint], 5)] for time_s, each in way
+        ]
 
 
 @dataclass(frozen=True)
@@ -51,6 +96,7 @@ class News:
         efforts: Of joints [N m or N], where they are published.
         entries: Newest of what is said, by what it is about.
         curve: The mass in the last minute.
+        pushes: Of the call that is under way, or was last; also the one that is being made.
         nodes: Those of ours that are there, by their own names.
     """
 
@@ -59,8 +105,10 @@ class News:
     efforts: dict[str, float] = field(default_factory=dict)
     entries: dict[str, Any] = field(default_factory=dict)
     curve: deque[Point] = field(default_factory=deque)
+    pushes: deque[Push] = field(default_factory=partial(deque, maxlen=MOST_PUSHES))
     nodes: frozenset[str] = frozenset()
     _heard_s: dict[str, float] = field(default_factory=dict)
+    _pushed: bool = False  # when the joint states came before
 
     def hear(self, about: str, entry: Any = None) -> None:
         """Something new is known about this."""
@@ -99,6 +147,14 @@ class News:
             )
         )
         self.hear("states")
+        if self.pushing:
+            if not self._pushed:
+                self.pushes.append(Push())
+            push = self.pushes[-1]
+            if len(push.times_s) < MOST_SAMPLES:
+                push.times_s.append(self.now())
+                push.positions.append(dict(self.positions))
+        self._pushed = self.pushing
 
     def hear_estimate(self, said: Said, late_s: float = 0.0) -> None:
         """What the identifier estimates, also of a run under way; a mass goes to the curve.
@@ -121,32 +177,26 @@ class News:
         while self.curve[0].at_s < point.at_s - CURVE_S:
             self.curve.popleft()
 
+    def said(self, about: str) -> Said:
+        """The newest sentence about this, with its keys and values; an empty one: there is none."""
+        entry = self.entries.get(about)
+        return entry if isinstance(entry, Said) else NOTHING
+
+    def claims(self, what: str) -> bool:
+        """Whether the newest estimate says that it is so: ``running``, made anew all the time, or ``final``."""
+        return self.said("estimate").values.get(what) == "true"
+
     @property
-    def is_running(self) -> bool:
-        """Whether the newest estimate is that of the arm at work, which is made anew all the time."""
-        said = self.entries.get("estimate")
-        return (
-            isinstance(
-                said,
-                Said,
-            )
-            and said.values.get("running") == "true"
-        )
+    def pushing(self) -> bool:
+        """Whether a joint is pushed now."""
+        return self.said("excitation").values.get("phase") == "probe"
 
     @property
     def points(self) -> list[Point]:
         """The curve, as seen now: a mass that was weighed stands until something else is said."""
         now_s = self.now()
         found = [point for point in self.curve if now_s - point.at_s < CURVE_S]
-        said = self.entries.get("estimate")
-        if (
-            self.curve
-            and isinstance(
-                said,
-                Said,
-            )
-            and said.values.get("final") == "true"
-        ):
+        if self.curve and self.claims("final"):
             newest = self.curve[-1]
             if newest.at_s == self._heard_s["estimate"]:
                 if not found:
@@ -168,14 +218,9 @@ class News:
     def warnings(self) -> list[str]:
         """What is wrong now, in words, worst first."""
         found = [
-            entry
-            for about, entry in self.entries.items()
-            if isinstance(
-                entry,
-                Said,
-            )
-            and entry.level > 0
-            and not self.is_old(about)
+            self.said(about)
+            for about in self.entries
+            if self.said(about).level > 0 and not self.is_old(about)
         ]
         found += [each for each in self.diagnostics if each.level > 0]
         ordered = sorted(

@@ -103,6 +103,7 @@ class Pendant:
         why = self.may(page)
         if why:
             raise ConfigurationError(why)
+        self.news.pushes.clear()
         return self.calls.begin(service, settings)
 
     def stop(self) -> str:

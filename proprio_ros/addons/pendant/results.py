@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from html import escape
 from pathlib import Path
 from typing import Any
 
 from proprio_ros.addons.pendant.jobs import GOOD, Step
-from proprio_ros.addons.pendant.words import answer_of
+from proprio_ros.addons.pendant.words import answer_of, table
 from proprio_ros.identification.reasons import REMEDIES
 from proprio_ros.quantity import shown, spec_for
 from proprio_ros.recordings.datasets import arrow
 
 MOST_ROWS = 500
+DONE = "done"
+"""Of what has no verdict."""
 
 
 def number_of(estimate: Mapping[str, Any]) -> tuple[str, str]:
@@ -29,8 +31,21 @@ def number_of(estimate: Mapping[str, Any]) -> tuple[str, str]:
 
 def verdict(words: str) -> str:
     """As a badge."""
-    kind = "good" if words == GOOD else "bad"
+    kind = "good" if words in (GOOD, DONE) else "bad"
     return f'<span class="verdict {kind}">{escape(words.replace("_", " "))}</span>'
+
+
+def shown_answer(badge: str, number: str, interval: str, otherwise: str) -> str:
+    """A verdict with one number, as large as it can be.
+
+    Args:
+        badge: The verdict, as `verdict` makes it.
+        number: In words; empty: there is none.
+        interval: Of the number, in words.
+        otherwise: What is said where there is no number.
+    """
+    lines = f'<p class="number">{escape(number)}</p><p class="interval">{escape(interval)}</p>'
+    return f"<p>{badge}</p>" + (lines if number else f'<p class="state">{escape(otherwise)}</p>')
 
 
 def reasons(found: Mapping[str, Any]) -> str:
@@ -57,29 +72,15 @@ def answered(step: Step) -> str:
         return _batch(found)
     if not found.get("verdict"):
         return f'<p class="state">{escape(str(found.get("message", "")))}</p>'
-    number, interval = number_of(found)
-    lines = [f"<p>{verdict(found['verdict'])}</p>"]
+    otherwise = str((found.get("estimates") or [{}])[0].get("reason") or "no number")
     if step.kind == "calibrate":
-        can = found.get("weighable") or {}
+        can = found.get("weighable")
+        otherwise = ""
         if can:
             mass = shown("kg", can["mass_kg"], spec=".0f")
             half = shown("kg", can["half_width95_kg"], spec=".1f")
-            lines.append(f'<p class="state">calibrated: weighs {mass} to &plusmn;{half} (95 %)</p>')
-    elif number:
-        lines.append(
-            f'<p class="number">{escape(number)}</p><p class="interval">{escape(interval)}</p>'
-        )
-    else:
-        why = (found.get("estimates") or [{}])[0].get("reason")
-        lines.append(f'<p class="state">{escape(str(why or "no number"))}</p>')
-    return "".join(lines) + reasons(found)
-
-
-def table(titles: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """Of cells that are HTML."""
-    head = "".join(f'<th scope="col">{escape(title)}</th>' for title in titles)
-    body = "".join("<tr>" + "".join(f"<td>{cell}</td>" for cell in row) + "</tr>" for row in rows)
-    return f'<div class="wide"><table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></div>'
+            otherwise = f"calibrated: weighs {mass} to ±{half} (95 %)"
+    return shown_answer(verdict(found["verdict"]), *number_of(found), otherwise) + reasons(found)
 
 
 def checked(found: Mapping[str, Any]) -> str:

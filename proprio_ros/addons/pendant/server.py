@@ -11,10 +11,9 @@ from pathlib import Path
 
 import uvicorn
 from fastapi import FastAPI
-from fastapi.responses import FileResponse, PlainTextResponse, Response
+from fastapi.responses import PlainTextResponse
 from nicegui import app, ui
 
-from proprio_ros.addons.pendant.answers import report_of
 from proprio_ros.addons.pendant.frame import frame
 from proprio_ros.addons.pendant.gate import Gate
 from proprio_ros.addons.pendant.lease import SILENCE_S
@@ -91,15 +90,6 @@ def _site(pendant: Pendant) -> FastAPI:
         '<link rel="stylesheet" href="/pendant.css"><script defer src="/pendant.js"></script>',
         shared=True,
     )
-
-    @app.get("/report")
-    def report() -> Response:
-        page = report_of(pendant.calls.latest)
-        if page is None:
-            return PlainTextResponse("there is no report on this computer", status_code=404)
-        # it draws by scripts of its own, and is not to click here
-        alone = {"Content-Security-Policy": "sandbox allow-scripts", "Cache-Control": "no-store"}
-        return FileResponse(page, headers=alone)
 
     add_requests(site, pendant)
     app.timer(WATCH_S, pendant.watch)

@@ -4,14 +4,20 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from html import escape
 from typing import Any
 
-from proprio_ros.addons.pendant.news import News, Said
+import numpy as np
+
+from proprio_ros.addons.pendant.news import News
 from proprio_ros.quantity import shown, spec_for
 
 LEVELS = ("good", "warning", "bad")
+NOTHING = "–"
+AXES = 3
+WATER_KG_M3 = 1000.0
 LIGHTS = ("driver", "excitation", "identifier")
 
 
@@ -29,25 +35,8 @@ def age_in_words(seconds: float) -> str:
 def _numbers(text: Any) -> list[float]:
     """Of a text or a list; empty where it has none."""
     try:
-        values = (
-            json.loads(text)
-            if isinstance(
-                text,
-                str,
-            )
-            else text
-        )
-        return [
-            float(value)
-            for value in (
-                values
-                if isinstance(
-                    values,
-                    list,
-                )
-                else [values]
-            )
-        ]
+        values = json.loads(text) if isinstance(text, str) else text
+        return [float(each) for each in np.ravel(values)]
     except (ValueError, TypeError):
         return []
 
@@ -93,27 +82,12 @@ def answer_of(values: Mapping[str, Any]) -> tuple[str, str]:
 
 def hand(news: News) -> str:
     """What the hand holds: one number, as large as it can be."""
-    said = news.entries.get("estimate")
-    running = news.is_running
+    running = news.claims("running")
     about = "running" if running else "estimate"
-    number, interval = (
-        answer_of(said.values)
-        if isinstance(
-            said,
-            Said,
-        )
-        else ("", "")
-    )
+    number, interval = answer_of(news.said("estimate").values)
     age = news.age_s(about)
     old = news.is_old(about)
-    final = (
-        isinstance(
-            said,
-            Said,
-        )
-        and said.values.get("final") == "true"
-    )
-    how = "running estimate" if running else "answer" if final else "so far"
+    how = "running estimate" if running else "answer" if news.claims("final") else "so far"
     lines = [
         f'<p class="number{" old" * old}">{escape(number) or "&ndash;"}</p>',
         f'<p class="interval">{escape(interval) or "Nothing is known of what the hand holds"}</p>',
@@ -121,24 +95,62 @@ def hand(news: News) -> str:
     ]
     if number:
         lines.append(f'<p class="small">{how}, {age_in_words(age)}</p>')
+    found = body(news)
+    if found is not None:
+        lines.append(f'<p class="small">{escape(found.words)}</p>')
     return "".join(lines)
+
+
+@dataclass(frozen=True)
+class Body:
+    """What is in the hand, as it is drawn in the frame of the link that holds it.
+
+    Attributes:
+        centre_m: Of its mass, shape (3,).
+        half_m: Semi-axes of what is drawn, shape (3,).
+        known: Whether these are the 95 % intervals of the centre; else a ball of water weighs as much.
+    """
+
+    centre_m: Sequence[float]
+    half_m: Sequence[float]
+    known: bool
+
+    @property
+    def words(self) -> str:
+        """Where its centre is."""
+        if not self.known:
+            return "Drawn as a ball of water, at the centre that was stated or is assumed"
+        ends = zip(self.centre_m, self.half_m, strict=True)
+        places = ", ".join(f"{1e3 * at:.1f} ±{1e3 * half:.1f}" for at, half in ends)
+        return f"Its centre of mass: {places} mm (95 %), drawn as that ellipsoid"
+
+
+def body(news: News) -> Body | None:
+    """What is in the hand; None: nobody says."""
+    held = news.entries.get("payload")
+    if held is None or not held.mass_kg > 0.0 or news.entries.get("holding") is False:
+        return None
+    ends = _numbers(news.said("estimate").values.get("payload_com.ci95"))
+    if len(ends) == AXES * 2 and all(map(math.isfinite, ends)):
+        lows = ends[::2]
+        highs = ends[1::2]
+        halves = [0.5 * (high - low) for low, high in zip(lows, highs, strict=True)]
+        return Body(held.centre_m, halves, True)
+    radius_m = (0.75 * held.mass_kg / (WATER_KG_M3 * math.pi)) ** (1.0 / 3.0)
+    return Body(held.centre_m, [radius_m] * AXES, False)
 
 
 def _holding(news: News) -> str:
     held = news.entries.get("holding")
-    carries = news.entries.get("capability")
     words = ""
     if held is not None:
         words = "Something is in the hand" if held else "The hand is empty"
-    if isinstance(carries, Said):
-        most = _numbers(carries.values.get("most"))
-        can = {"true": "can carry it here", "false": "can NOT carry it here"}
-        said = can.get(
-            carries.values.get("can_carry", ""),
-            "",
-        )
-        if said and most:
-            words += f"{'; ' * bool(words)}the arm {said}, {shown('kg', most[0])} at most"
+    carries = news.said("capability").values
+    most = _numbers(carries.get("most"))
+    can = {"true": "can carry it here", "false": "can NOT carry it here"}
+    said = can.get(carries.get("can_carry", ""))
+    if said and most:
+        words += f"{'; ' * bool(words)}the arm {said}, {shown('kg', most[0])} at most"
     return words
 
 
@@ -146,41 +158,12 @@ def lights(news: News) -> str:
     """Nodes and bus, a light each, and since when one is silent."""
     rows = []
     for name in LIGHTS:
-        said = news.entries.get(name)
-        there = name in news.nodes
-        level = (
-            said.level
-            if isinstance(
-                said,
-                Said,
-            )
-            and there
-            else 0
-        )
-        words = (
-            said.message.partition(";")[0]
-            if isinstance(
-                said,
-                Said,
-            )
-            else ""
-        )
-        if not there:
-            rows.append(
-                _light(
-                    "old",
-                    name,
-                    "is not there; start it: proprio live",
-                )
-            )
+        said = news.said(name)
+        if name in news.nodes:
+            words = said.message.partition(";")[0] or "is there"
+            rows.append(_light(LEVELS[min(said.level, 2)], name, words))
         else:
-            rows.append(
-                _light(
-                    LEVELS[min(level, 2)],
-                    name,
-                    words or "is there",
-                )
-            )
+            rows.append(_light("old", name, "is not there; start it: proprio live"))
     states = news.age_s("states")
     kind = "old" if news.is_old("states") else "good"
     rows.append(_light(kind, "joint states", f"the newest came {age_in_words(states)}"))
@@ -220,32 +203,19 @@ def joints(news: News) -> str:
             math.nan,
         )
         values = servo.values if servo else {}
-        cells = [
-            f"{at:.3f}",
-            f"{effort:.2f}" if math.isfinite(effort) else "&ndash;",
-            escape(
-                values.get(
-                    "temperature [C]",
-                    "&ndash;",
-                ).removesuffix(".0")
-            ),
-            escape(servo.message) if servo else "&ndash;",
-        ]
-        rows.append(
-            _row(
-                "td",
-                [escape(name), *cells],
-            )
-        )
-    head = _row(
-        "th",
-        ["joint", "rad, m", "N m, N", "&deg;C", "motor"],
-    )
+        measured = f"{effort:.2f}" if math.isfinite(effort) else NOTHING
+        warmth = values.get("temperature [C]", NOTHING).removesuffix(".0")
+        motor = escape(servo.message) if servo else NOTHING
+        rows.append([escape(name), f"{at:.3f}", measured, escape(warmth), motor])
     if not rows:
         return '<p class="small">No joint states are coming.</p>'
-    old = ' class="old"' if news.is_old("states") else ""
-    return f"<table{old}><thead>{head}</thead><tbody>{''.join(rows)}</tbody></table>"
+    kind = "old" if news.is_old("states") else "now"
+    titles = ["joint", "rad, m", "N m, N", "°C", "motor"]
+    return f'<div class="{kind}">{table(titles, rows)}</div>'
 
 
-def _row(tag: str, cells: Iterable[str]) -> str:
-    return "<tr>" + "".join(f"<{tag}>{cell}</{tag}>" for cell in cells) + "</tr>"
+def table(titles: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """Of cells that are HTML."""
+    head = "".join(f'<th scope="col">{escape(title)}</th>' for title in titles)
+    body = "".join("<tr>" + "".join(f"<td>{cell}</td>" for cell in row) + "</tr>" for row in rows)
+    return f'<div class="wide"><table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></div>'

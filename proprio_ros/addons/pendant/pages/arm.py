@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from nicegui import ui
 
 from proprio_ros.addons.pendant import words
+from proprio_ros.addons.pendant.charts import LINE, chart
 from proprio_ros.addons.pendant.drawing import Drawing
 from proprio_ros.addons.pendant.news import CURVE_S, News
 from proprio_ros.addons.pendant.pendant import Pendant
 
 MOVES_S = 0.1
 READS_S = 0.5
-GREY = "#8a94a3"
 INK = "#2a9cc4"
+GRAMS = 1e3  # of a kg
 
 
 def show(pendant: Pendant) -> None:
@@ -78,90 +77,32 @@ class _Sight:
         news = self._pendant.news
         assert self._drawing is not None
         self._drawing.show(news.positions)
-        self._drawing.scene.classes(
-            add="old" if news.is_old("states") else "",
-            remove="" if news.is_old("states") else "old",
-        )
+        self._drawing.hold(words.body(news))
+        old = news.is_old("states")
+        self._drawing.scene.classes(add="old" * old, remove="old" * (not old))
 
 
 def _curve() -> ui.echart:
     """The mass of the last minute, with its interval."""
-    axis = {"axisLabel": {"color": GREY}, "splitLine": {"lineStyle": {"color": f"{GREY}40"}}}
-    line = {
-        "type": "line",
-        "symbol": "none",
-        "data": [],
-        "animation": False,
-    }
-    band = {
-        **line,
-        "stack": "band",
-        "lineStyle": {"opacity": 0},
-    }
-    chart = ui.echart(
-        {
-            "grid": {
-                "left": 52,
-                "right": 12,
-                "top": 28,
-                "bottom": 26,
-            },
-            "title": {"text": "g, last minute", "textStyle": {"color": GREY, "fontSize": 12}},
-            "xAxis": {
-                **axis,
-                "type": "value",
-                "min": -CURVE_S,
-                "max": 0,
-            },
-            "yAxis": {
-                **axis,
-                "type": "value",
-                "scale": True,
-            },
-            "series": [
-                band,
-                {**band, "areaStyle": {"color": INK, "opacity": 0.25}},
-                {**line, "lineStyle": {"color": INK, "width": 2.5}},
-            ],
-        }
-    ).classes("curve")
-    chart.props('role="img" aria-label="The mass of the last minute with its interval"')
-    return chart
+    band = {**LINE, "stack": "band", "lineStyle": {"opacity": 0}}
+    within = {**band, "areaStyle": {"color": INK, "opacity": 0.25}}
+    mass = {**LINE, "lineStyle": {"color": INK, "width": 2.5}}
+    across = {"min": -CURVE_S, "max": 0}
+    return chart("Mass of the last minute, with its interval [g]", across, [band, within, mass])
 
 
-def _show_curve(chart: ui.echart, news: News) -> None:
+def _show_curve(curve: ui.echart, news: News) -> None:
     now_s = news.now()
     points = news.points
-    chart.set_visibility(bool(points))
-    series: tuple[list[Any], ...] = (
-        [],
-        [],
-        [],
-    )
+    curve.set_visibility(bool(points))
+    lows = []
+    widths = []
+    masses = []
     for point in points:
         x = round(point.at_s - now_s, 2)
-        low, high, mass = (
-            1e3 * each
-            for each in (
-                point.low_kg,
-                point.high_kg,
-                point.mass_kg,
-            )
-        )
-        for data, value in zip(
-            series,
-            (low, high - low, mass),
-            strict=True,
-        ):
-            data.append(
-                [
-                    x,
-                    round(
-                        value,
-                        3,
-                    ),
-                ]
-            )
+        lows.append([x, round(GRAMS * point.low_kg, 3)])
+        widths.append([x, round(GRAMS * (point.high_kg - point.low_kg), 3)])
+        masses.append([x, round(GRAMS * point.mass_kg, 3)])
     if points:
-        told = [{"data": data} for data in series]
-        chart.run_chart_method("setOption", {"series": told})
+        series = [{"data": data} for data in (lows, widths, masses)]
+        curve.run_chart_method("setOption", {"series": series})

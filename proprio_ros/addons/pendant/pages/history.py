@@ -11,15 +11,19 @@ from typing import Any
 from nicegui import run, ui
 
 from proprio_ros.addons.pendant import results
+from proprio_ros.addons.pendant.charts import draw
 from proprio_ros.addons.pendant.desk import Desk
 from proprio_ros.addons.pendant.kept import Kept, kept, terms
 from proprio_ros.addons.pendant.offline import address_of
-from proprio_ros.addons.pendant.pages.recordings import attempt, draw, select
+from proprio_ros.addons.pendant.pages.recordings import select
 from proprio_ros.addons.pendant.pendant import Pendant
+from proprio_ros.addons.pendant.words import table
 from proprio_ros.quantity import shown, spec_for
 
 MOST_CALIBRATIONS = 40
 NOTHING = "&ndash;"
+COMPARED = ("verdict", "probe", "robot", "runs", "version")
+"""Of two answers, as they stand in the file."""
 
 
 async def show(pendant: Pendant) -> None:
@@ -57,18 +61,6 @@ async def _fill(desk: Desk, found: Sequence[Kept]) -> None:
     calibrated = [each for each in found if each.calibration][:MOST_CALIBRATIONS]
     if len(calibrated) > 1:
         await _drift(calibrated[::-1])
-    bags = [each for each in found if each.bag]
-    if bags:
-        with ui.element("section").classes("card").props('aria-label="Look into a recording"'):
-            ui.label("Work with a recording").classes("title").props("role=heading aria-level=2")
-            names = {"": "choose ...", **{str(each.bag): each.folder.name for each in bags}}
-            select("Put on the desk of Recordings", names, "", partial(_put, desk))
-
-
-def _put(desk: Desk, bag: str) -> None:
-    if bag:
-        attempt(partial(desk.choose, Path(bag)))
-        ui.navigate.to("/recordings")
 
 
 def _table(desk: Desk, found: Sequence[Kept]) -> str:
@@ -92,7 +84,7 @@ def _table(desk: Desk, found: Sequence[Kept]) -> str:
                 link,
             ]
         )
-    return results.table(["when", "what", "answer", "95 % interval", "", ""], rows)
+    return table(["when", "what", "answer", "95 % interval", "", ""], rows)
 
 
 def _kind_of(each: Kept) -> str:
@@ -130,29 +122,20 @@ class _Compare:
             for title, cells in _differences(*both)
         ]
         said = f'<p class="state">{escape(_apart(*both))}</p>'
-        self._shown.set_content(results.table(["", *self._chosen], rows) + said)
+        self._shown.set_content(table(["", *self._chosen], rows) + said)
 
 
 def _differences(one: dict[str, Any], other: dict[str, Any]) -> list[tuple[str, list[str]]]:
     """What each says, by what it is about."""
-
-    def cells(estimate: dict[str, Any]) -> dict[str, str]:
-        number, interval = results.number_of(estimate)
-        used = estimate.get("calibration") or {}
-        return {
-            "answer": number or "no number",
-            "95 % interval": interval.removeprefix("95 % interval "),
-            "verdict": str(estimate.get("verdict", "")).replace("_", " "),
-            "probe": str(estimate.get("probe", "")),
-            "robot": str(estimate.get("robot", "")),
-            "calibration": str(used.get("fingerprint", "none"))[:8],
-            "runs": str(estimate.get("runs", "")),
-            "version": str(estimate.get("version", "")),
-        }
-
-    first = cells(one)
-    second = cells(other)
-    return [(key, [first[key], second[key]]) for key in first]
+    both = (one, other)
+    numbers = [results.number_of(each) for each in both]
+    used = [each.get("calibration") or {} for each in both]
+    return [
+        ("answer", [number or "no number" for number, _ in numbers]),
+        ("95 % interval", [interval.removeprefix("95 % interval ") for _, interval in numbers]),
+        *((key, [str(each.get(key, "")) for each in both]) for key in COMPARED),
+        ("calibration", [str(each.get("fingerprint", "none"))[:8] for each in used]),
+    ]
 
 
 def _apart(one: dict[str, Any], other: dict[str, Any]) -> str:
@@ -190,8 +173,8 @@ async def _drift(calibrated: Sequence[Kept]) -> None:
     with ui.element("section").classes("card").props('aria-label="How the arm drifts"'):
         ui.label("How the arm drifts").classes("title").props("role=heading aria-level=2")
         title = "Dry friction [N m or N], by calibration"
-        draw([{"title": title, "curves": curves, "across": "category", "unit": ""}])
-        ui.html(results.table(["calibrated", *names], rows), sanitize=False)
+        draw([{"title": title, "curves": curves, "across": {"type": "category"}}])
+        ui.html(table(["calibrated", *names], rows), sanitize=False)
 
 
 def _within(known: tuple[float, float] | None) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Awaitable, Callable, Mapping, Sequence
+from collections.abc import Awaitable, Callable, Mapping
 from functools import partial
 from html import escape
 from pathlib import Path
@@ -12,6 +12,7 @@ from nicegui import run, ui
 from nicegui.events import GenericEventArguments
 
 from proprio_ros.addons.pendant import results
+from proprio_ros.addons.pendant.charts import draw
 from proprio_ros.addons.pendant.desk import KNOWN, ROLES, Chosen, Desk, batches
 from proprio_ros.addons.pendant.jobs import Job
 from proprio_ros.addons.pendant.kept import calibrations
@@ -24,9 +25,6 @@ from proprio_ros.probes import all_probes
 
 READS_S = 0.5
 LATEST = 3
-GREY = "#8a94a3"
-COLOURS = ["#2a9cc4", "#e08a2c", "#5fa35a", "#c9605c", "#9380c6", "#b08d57", "#7f8fa6"]
-"""Of curves, on bright and dark."""
 SHOWS = (
     "setTimeout(() => document.querySelector('.progress').scrollIntoView({block: 'center'}), 700)"
 )
@@ -239,32 +237,6 @@ class _Row:
         if self._inside.value and not drawn:
             with self._inside:
                 draw(self.each.signals)
-
-
-def draw(signals: Sequence[Mapping[str, Any]]) -> None:
-    """A chart a plot, with a curve a joint."""
-    axis = {"axisLabel": {"color": GREY}, "splitLine": {"lineStyle": {"color": f"{GREY}40"}}}
-    line = {"type": "line", "symbol": "none", "animation": False}
-    for plot in signals:
-        holds = {**line, "step": plot.get("step", False)}
-        series = [{**holds, "name": name, "data": data} for name, data in plot["curves"].items()]
-        chart = ui.echart(
-            {
-                "color": COLOURS,
-                "grid": {"left": 56, "right": 30, "top": 64, "bottom": 26},
-                "title": {"text": plot["title"], "textStyle": {"color": GREY, "fontSize": 12}},
-                "legend": {"top": 30, "type": "scroll", "textStyle": {"color": GREY}},
-                "tooltip": {"trigger": "axis"},
-                "xAxis": {
-                    **axis,
-                    "type": plot.get("across", "value"),
-                    "name": plot.get("unit", "s"),
-                },
-                "yAxis": {**axis, "type": "value", "scale": True},
-                "series": series,
-            }
-        ).classes("curve")
-        chart.props(f'role="img" aria-label="{escape(plot["title"])}"')
 
 
 async def _ask(pendant: Pendant, place: ui.element) -> None:

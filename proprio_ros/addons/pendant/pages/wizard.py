@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import Mapping
 from functools import partial
 from html import escape
 
 from nicegui import Client, ui
 
-from proprio_ros.addons.pendant.answers import answer, report_of
+from proprio_ros.addons.pendant.answers import answer, figures_of, report_of
 from proprio_ros.addons.pendant.calls import Call
+from proprio_ros.addons.pendant.charts import draw
+from proprio_ros.addons.pendant.drawing import Drawing
+from proprio_ros.addons.pendant.offline import address_of
 from proprio_ros.addons.pendant.pendant import Pendant
 from proprio_ros.addons.pendant.tasks import CALIBRATE, Task, settings_of, tasks, what_moves
-from proprio_ros.errors import ConfigurationError
+from proprio_ros.addons.pendant.ways import ways_of
+from proprio_ros.errors import ConfigurationError, ProprioError
+from proprio_ros.robot import Robot
 
 READS_S = 0.5
 LATEST = 4
@@ -20,8 +26,9 @@ LATEST = 4
 GRAMS = 1e-3  # kg
 
 
-def show(pendant: Pendant) -> None:
+async def show(pendant: Pendant) -> None:
     """Fill the page."""
+    await pendant.at_desk()
     found = tasks()
     with ui.element("div").classes("wizard"):
         choices = ui.element("nav").classes("tasks").props('aria-label="What to do"')
@@ -95,14 +102,17 @@ class _Forms:
             why = self._pendant.may(self._client.id)
             if why:
                 raise ConfigurationError(why)
-            moves = await self._moves(task)
+            sequences = await self._sequences(task)
         except ConfigurationError as error:
             _refused(error)
             return
+        robot = await self._pendant.robot()
         with ui.dialog() as dialog, ui.card().classes("confirm"):
             ui.label("The arm will move" if task.parameters else task.title).classes("title")
             ui.label(task.hand).classes("hand-words")
-            ui.label(moves)
+            ui.label(task.moves or what_moves(sequences, robot))
+            if robot is not None:
+                await self._draw(sequences, robot)
             ui.label("Keep away from it. STOP, or the space bar, ends it; the arm is then held.")
             with ui.row():
                 ui.button(
@@ -117,7 +127,21 @@ class _Forms:
             await self._begin(task, settings)
         dialog.delete()
 
-    async def _moves(self, task: Task) -> str:
+    async def _draw(self, sequences: list[str], robot: Robot) -> None:
+        """The arm as it stands, and where its hand will go."""
+        pose = self._pendant.news.positions
+        try:
+            ways = await asyncio.to_thread(ways_of, sequences, robot, pose)
+        except ProprioError as error:
+            ui.label(f"Its ways cannot be drawn: {error}")
+            return
+        if ways.pushed_m:
+            drawing = Drawing(robot.model, robot.payload_frame)
+            drawing.show(pose)
+            drawing.ways(ways)
+            ui.label("Orange: as far as pushes may take the hand. Grey: on the way there.")
+
+    async def _sequences(self, task: Task) -> list[str]:
         """What the identifier would have made."""
         names = await self._pendant.parameters(*task.parameters, "robot", "reference_mass")
         if names is None:
@@ -128,8 +152,7 @@ class _Forms:
         weighs = self._stated_reference(float(names["reference_mass"]))
         if task.service == CALIBRATE and not weighs:
             del sequences[1:]
-        robot = await self._pendant.robot()
-        return task.moves or what_moves(sequences, robot)
+        return sequences
 
     def _stated_reference(self, otherwise_kg: float) -> float:
         """Mass of the reference [kg]; what the identifier has where nothing is typed."""
@@ -179,6 +202,7 @@ class _Progress:
         self._pendant = pendant
         self._titles = titles
         self._shown: tuple[Call | None, bool] = (None, False)
+        self._drawn = 0  # pushes
         with ui.element("section").classes("card progress").props('aria-label="Progress"') as card:
             self._card = card
             self._title = ui.label().classes("title")
@@ -188,12 +212,10 @@ class _Progress:
             ).props('aria-label="Runs"')
             self._said = ui.html().props("role=status")
             self._answer = ui.html().classes("hand").props('role="status"')
+            self._curves = ui.element("div")
+            self._figures = ui.html().classes("figures")
             with ui.row().classes("after"):
-                self._report = ui.link(
-                    "Report",
-                    "/report",
-                    new_tab=True,
-                )
+                self._report = ui.link("Report", new_tab=True)
                 self._command = ui.label().classes("command")
         ui.timer(
             READS_S,
@@ -222,11 +244,31 @@ class _Progress:
         self._bar.set_value((number - 0.5) / of if of else 0.0)
         said = "".join(f"<p>{escape(words)}</p>" for words in call.said[-LATEST:])
         self._said.set_content(f'<div class="said">{said}</div>' if call.under_way else "")
+        self._draw()
         if (call, call.under_way) != self._shown:
             self._shown = (call, call.under_way)
             self._answer.set_content("" if call.under_way else answer(call))
             self._command.set_text(call.command)
-            self._report.set_visibility(not call.under_way and report_of(call) is not None)
+            page = report_of(call)
+            address = address_of(page, self._pendant.desk.places) if page is not None else ""
+            self._report.props(f'href="{address}"').set_visibility(bool(address))
+            figures = figures_of(page)
+            self._figures.set_content(figures)
+            self._curves.set_visibility(not figures)
+
+    def _draw(self) -> None:
+        """The way of each push that is over; what is simulated of it comes with the answer."""
+        news = self._pendant.news
+        over = list(news.pushes)[: len(news.pushes) - news.pushing]
+        if len(over) == self._drawn:
+            return
+        self._drawn = len(over)
+        self._curves.clear()
+        curves = [push.curve() for push in over]
+        named = {f"{n} {joint}": way for n, (joint, way) in enumerate(curves, 1)}
+        if named:
+            with self._curves:
+                draw([{"title": "Measured in each run [rad or m]", "curves": named}])
 
 
 def _refused(error: ConfigurationError) -> None:
