@@ -15,8 +15,9 @@ import sys
 from asyncio.subprocess import DEVNULL, PIPE, Process
 from collections.abc import Awaitable, Callable, Sequence
 from time import monotonic
-from typing import Any
+from typing import Any, Generic, TypeVar
 
+from proprio_ros.errors import ConfigurationError
 from proprio_ros.nodes.graph import end_with_parent
 
 LONGEST_LINE = 2**20  # bytes
@@ -152,29 +153,42 @@ def _answer(printed: bytes, said: Sequence[str]) -> dict[str, Any]:
     }
 
 
-class Calls:
-    """One call at a time."""
+Kind = TypeVar("Kind", bound=Call)
 
-    def __init__(self, namespace: str, tell: Callable[[str], None]) -> None:
-        self._namespace = namespace
+
+class Calls(Generic[Kind]):
+    """One call at a time, for all pages.
+
+    Args:
+        tell: Called with what is begun, as one would type it.
+    """
+
+    def __init__(self, tell: Callable[[str], None]) -> None:
         self._tell = tell
         self._task: asyncio.Task[None] | None = None
-        self.latest: Call | None = None
+        self.latest: Kind | None = None
 
     @property
-    def under_way(self) -> Call | None:
-        """The call that is not answered yet."""
-        latest = self.latest
-        return latest if latest is not None and latest.under_way else None
+    def under_way(self) -> Kind | None:
+        """The one that has not ended."""
+        running = self._task is not None and not self._task.done()
+        return self.latest if running else None
 
-    def begin(self, service: str, settings: Sequence[str] = ()) -> Call:
-        """Call a service, while none is under way."""
-        assert self.under_way is None
-        self.latest = call = Call(
-            service,
-            settings,
-            self._namespace,
-        )
+    def check_free(self) -> None:
+        """Raises `ConfigurationError`: Something is under way."""
+        if self.under_way is not None:
+            raise ConfigurationError("something is computed already; wait for it, or cancel it")
+
+    def begin(self, call: Kind) -> None:
+        """Raises `ConfigurationError`: Another is under way."""
+        self.check_free()
+        self.latest = call
         self._tell(call.command)
         self._task = asyncio.create_task(call.run())
-        return call
+
+    async def close(self, seconds: float) -> None:
+        """End what is under way, which may take so long."""
+        call = self.under_way
+        if call is not None:
+            call.cancel()
+            await call.ended(seconds)

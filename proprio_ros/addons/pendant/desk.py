@@ -14,7 +14,8 @@ from pathlib import Path
 from typing import Any
 
 from proprio_ros import registry
-from proprio_ros.addons.pendant.jobs import Job, Jobs, Step
+from proprio_ros.addons.pendant.calls import Calls
+from proprio_ros.addons.pendant.jobs import Job, Step
 from proprio_ros.addons.pendant.places import Places
 from proprio_ros.errors import ConfigurationError
 from proprio_ros.inputs.resources import write_in_one_step
@@ -102,7 +103,7 @@ class Desk:
 
     def __init__(self, places: Places, tell: Callable[[str], None]) -> None:
         self.places = places
-        self.jobs = Jobs(tell)
+        self.jobs: Calls[Job] = Calls(tell)
         self.chosen: dict[str, Chosen] = {}
         self.asked = Asked()
 

@@ -1,8 +1,7 @@
-"""Commands of ``proprio`` about recordings, each a process of its own: one job at a time, and whoever cancels it ends that."""
+"""Commands of ``proprio`` about recordings, each a process of its own; whoever cancels a job ends that."""
 
 from __future__ import annotations
 
-import asyncio
 import shlex
 import sys
 from collections.abc import Callable, Sequence
@@ -11,10 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from proprio_ros.addons.pendant.calls import Call
-from proprio_ros.errors import ConfigurationError
 
 GOOD = "accepted"
-ENDS_S = 5.0
 
 
 @dataclass
@@ -83,37 +80,3 @@ class Job(Call):
             if self.cancelled or step.answer.get("verdict", GOOD) != GOOD or "error" in step.answer:
                 break
         self._done(self)
-
-
-class Jobs:
-    """One at a time, for all pages."""
-
-    def __init__(self, tell: Callable[[str], None]) -> None:
-        self._tell = tell
-        self._task: asyncio.Task[None] | None = None
-        self.latest: Job | None = None
-
-    @property
-    def under_way(self) -> Job | None:
-        """The one that has not ended."""
-        running = self._task is not None and not self._task.done()
-        return self.latest if running else None
-
-    def check_free(self) -> None:
-        """Raises `ConfigurationError`: Something is under way."""
-        if self.under_way is not None:
-            raise ConfigurationError("something is computed already; wait for it, or cancel it")
-
-    def begin(self, job: Job) -> None:
-        """Raises `ConfigurationError`: Another is under way."""
-        self.check_free()
-        self.latest = job
-        self._tell(job.command)
-        self._task = asyncio.create_task(job.run())
-
-    async def close(self) -> None:
-        """End what is under way."""
-        job = self.under_way
-        if job is not None:
-            job.cancel()
-            await job.ended(ENDS_S)

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
 DATA = "~/.ros/proprio_ros"
 """Where the nodes keep things unless they are told otherwise, as in config/identifier.yaml."""
+JOB_ENDS_S = 5.0
 ENDS_S = 20.0
 """So long a call that is cancelled may take to have the arm held."""
 
@@ -48,7 +49,7 @@ class Pendant:
         self.tell = tell
         self.news = News()
         self.lease = Lease()
-        self.calls = Calls(namespace, tell)
+        self.calls: Calls[Call] = Calls(tell)
         self.desk = Desk(Places(Path.cwd(), Path(DATA).expanduser() / namespace), tell)
         self.no_ros = ""
         self._listener: Listener | None = None
@@ -70,11 +71,8 @@ class Pendant:
 
     async def close(self) -> None:
         """End what is under way, and have the arm held."""
-        await self.desk.jobs.close()
-        call = self.calls.under_way
-        if call is not None:
-            call.cancel()
-            await call.ended(ENDS_S)
+        await self.desk.jobs.close(JOB_ENDS_S)
+        await self.calls.close(ENDS_S)
         if self._listener is not None:
             self._listener.close()
 
@@ -104,7 +102,9 @@ class Pendant:
         if why:
             raise ConfigurationError(why)
         self.news.pushes.clear()
-        return self.calls.begin(service, settings)
+        call = Call(service, settings, self.namespace)
+        self.calls.begin(call)
+        return call
 
     def stop(self) -> str:
         """End whatever moves the arm, whoever asks; what came of it, in words."""

@@ -19,12 +19,11 @@ from proprio_ros.addons.pendant.kept import calibrations
 from proprio_ros.addons.pendant.offline import address_of
 from proprio_ros.addons.pendant.pendant import Pendant
 from proprio_ros.addons.pendant.places import MOST_BYTES, TAKEN, UPLOADS, Entry
+from proprio_ros.addons.pendant.progress import READS_S, Progress
 from proprio_ros.errors import ProprioError
 from proprio_ros.inputs.resources import resource_names
 from proprio_ros.probes import all_probes
 
-READS_S = 0.5
-LATEST = 3
 SHOWS = (
     "setTimeout(() => document.querySelector('.progress').scrollIntoView({block: 'center'}), 700)"
 )
@@ -295,19 +294,10 @@ class _Outcome:
     def __init__(self, desk: Desk, learnt: Callable[[], Awaitable[None]]) -> None:
         self._desk = desk
         self._learnt = learnt  # called when there may be a new calibration
-        self._shown: tuple[Job | None, bool] = (None, False)
-        with ui.element("section").classes("card progress").props('aria-label="Answer"') as card:
-            self._card = card
-            self._title = ui.label().classes("title")
-            self._bar = ui.linear_progress(show_value=False).props(
-                'indeterminate aria-label="Working"'
-            )
-            self._said = ui.html().props("role=status")
+        self._progress = Progress("Answer")
+        self._progress.bar.props("indeterminate")
+        with self._progress.card:
             self._cancel = ui.button("Cancel", on_click=self._end).props("outline no-caps")
-            self._answer = ui.element("div").classes("hand").props('role="status"')
-            self._command = ui.label().classes("command")
-            copies = "() => navigator.clipboard.writeText(event.target.closest('section').querySelector('.command').innerText)"
-            ui.button("Copy the command").props("flat no-caps").on("click", js_handler=copies)
         ui.timer(READS_S, self._read, immediate=True)
 
     def _end(self) -> None:
@@ -318,24 +308,15 @@ class _Outcome:
     async def _read(self) -> None:
         job = self._desk.jobs.latest
         runs = self._desk.jobs.under_way is not None
-        self._card.set_visibility(job is not None)
-        if job is None:
-            return
-        doing = "is being cancelled" if job.cancelled else f"{job.elapsed_s:.0f} s"
-        self._title.set_text(f"{job.title}: {doing}" if runs else job.title)
-        said = "".join(f"<p>{escape(words)}</p>" for words in job.said[-LATEST:])
-        self._said.set_content(f'<div class="said">{said}</div>' if runs else "")
-        self._bar.set_visibility(runs)
         self._cancel.set_visibility(runs)
-        if (job, runs) != self._shown:
-            self._shown = (job, runs)
-            self._command.set_text(job.command)
-            self._answer.clear()
-            if not runs:
-                with self._answer:
-                    self._show(job)
-                if job.steps[0].kind == "calibrate":
-                    await self._learnt()
+        title = job.title if job is not None else ""
+        doing = "is being cancelled" if job is not None and job.cancelled else "at work"
+        changed = self._progress.read(job, title, doing, runs)
+        if job is not None and changed and not runs:
+            with self._progress.answer:
+                self._show(job)
+            if job.steps[0].kind == "calibrate":
+                await self._learnt()
 
     def _show(self, job: Job) -> None:
         if job.cancelled:

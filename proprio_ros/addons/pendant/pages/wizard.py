@@ -10,19 +10,16 @@ from html import escape
 from nicegui import Client, ui
 
 from proprio_ros.addons.pendant.answers import answer, figures_of, report_of
-from proprio_ros.addons.pendant.calls import Call
 from proprio_ros.addons.pendant.charts import draw
 from proprio_ros.addons.pendant.drawing import Drawing
 from proprio_ros.addons.pendant.offline import address_of
 from proprio_ros.addons.pendant.pendant import Pendant
+from proprio_ros.addons.pendant.progress import READS_S, Progress
 from proprio_ros.addons.pendant.tasks import CALIBRATE, Task, settings_of, tasks, what_moves
 from proprio_ros.addons.pendant.ways import ways_of
 from proprio_ros.errors import ConfigurationError, ProprioError
 from proprio_ros.robot import Robot
 
-READS_S = 0.5
-LATEST = 4
-"""So many sentences of what goes on are shown."""
 GRAMS = 1e-3  # kg
 
 
@@ -201,60 +198,37 @@ class _Progress:
     def __init__(self, pendant: Pendant, titles: Mapping[str, str]) -> None:
         self._pendant = pendant
         self._titles = titles
-        self._shown: tuple[Call | None, bool] = (None, False)
         self._drawn = 0  # pushes
-        with ui.element("section").classes("card progress").props('aria-label="Progress"') as card:
-            self._card = card
-            self._title = ui.label().classes("title")
-            self._bar = ui.linear_progress(
-                0.0,
-                show_value=False,
-            ).props('aria-label="Runs"')
-            self._said = ui.html().props("role=status")
-            self._answer = ui.html().classes("hand").props('role="status"')
+        self._progress = Progress("Progress")
+        with self._progress.card:
             self._curves = ui.element("div")
             self._figures = ui.html().classes("figures")
-            with ui.row().classes("after"):
-                self._report = ui.link("Report", new_tab=True)
-                self._command = ui.label().classes("command")
-        ui.timer(
-            READS_S,
-            self._read,
-            immediate=True,
-        )
+        ui.timer(READS_S, self._read, immediate=True)
 
     def _read(self) -> None:
         call = self._pendant.calls.latest
-        self._card.set_visibility(call is not None)
         if call is None:
+            self._progress.read(None, "", "", False)
             return
         runs = call.progress
         number, of = runs or (0, 0)
         doing = f"run {number} of {of}" if runs else "preparing"
         if call.cancelled:
             doing = "stopping; the arm is held"
-        title = self._titles.get(
-            call.service,
-            call.service,
-        )
-        self._title.set_text(
-            f"{title}: {doing}, {call.elapsed_s:.0f} s" if call.under_way else title
-        )
-        self._bar.set_visibility(call.under_way)
-        self._bar.set_value((number - 0.5) / of if of else 0.0)
-        said = "".join(f"<p>{escape(words)}</p>" for words in call.said[-LATEST:])
-        self._said.set_content(f'<div class="said">{said}</div>' if call.under_way else "")
+        title = self._titles.get(call.service, call.service)
+        changed = self._progress.read(call, title, doing, call.under_way)
+        self._progress.bar.set_value((number - 0.5) / of if of else 0.0)
         self._draw()
-        if (call, call.under_way) != self._shown:
-            self._shown = (call, call.under_way)
-            self._answer.set_content("" if call.under_way else answer(call))
-            self._command.set_text(call.command)
-            page = report_of(call)
-            address = address_of(page, self._pendant.desk.places) if page is not None else ""
-            self._report.props(f'href="{address}"').set_visibility(bool(address))
+        if changed:
+            page = None if call.under_way else report_of(call)
             figures = figures_of(page)
             self._figures.set_content(figures)
             self._curves.set_visibility(not figures)
+            with self._progress.answer:
+                ui.html("" if call.under_way else answer(call))
+                address = address_of(page, self._pendant.desk.places) if page is not None else ""
+                if address:
+                    ui.link("Report", address, new_tab=True).classes("report")
 
     def _draw(self) -> None:
         """The way of each push that is over; what is simulated of it comes with the answer."""
