@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import json
 import re
 from pathlib import Path
 
 from proprio_ros.addons.pendant.calls import Call
+from proprio_ros.addons.pendant.kept import estimate_in
 from proprio_ros.addons.pendant.results import DONE, reason_list, shown_answer, verdict
 from proprio_ros.addons.pendant.words import answer_of
 
@@ -46,15 +46,7 @@ def answer(call: Call) -> str:
     otherwise = _KEPT.sub("", message).strip("; ")
     said = [str(estimate[key]) for key in estimate if key.startswith("reason.")]
     # by their codes, where the file of the answer is on this computer
-    codes = _codes(message)
+    folder = folder_of(message)
+    codes = estimate_in(folder).get("reason_codes", []) if folder is not None else []
     why = reason_list(said, codes if len(codes) == len(said) else [])
     return shown_answer(badge, *answer_of(estimate), otherwise) + why
-
-
-def _codes(message: str) -> list[str]:
-    folder = folder_of(message)
-    try:
-        kept = json.loads((folder / "estimate.json").read_text()) if folder else {}
-    except (OSError, ValueError):
-        return []
-    return [str(code) for code in kept.get("reason_codes", [])]

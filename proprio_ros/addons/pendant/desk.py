@@ -16,9 +16,9 @@ from typing import Any
 from proprio_ros import registry
 from proprio_ros.addons.pendant.calls import Calls
 from proprio_ros.addons.pendant.jobs import Job, Step
-from proprio_ros.addons.pendant.places import Places
+from proprio_ros.addons.pendant.places import DESCRIPTION, Places
 from proprio_ros.errors import ConfigurationError
-from proprio_ros.inputs.resources import write_in_one_step
+from proprio_ros.inputs.resources import resource_names, write_in_one_step
 
 ASKED = "asked"
 EMPTY = "empty"
@@ -120,6 +120,23 @@ class Desk:
         if len(self.chosen) >= MOST_CHOSEN:
             raise ConfigurationError(f"{MOST_CHOSEN} recordings are chosen; a batch takes more")
         self.chosen.setdefault(name, Chosen())
+
+    def take(self, path: Path) -> None:
+        """What was uploaded: a recording is chosen, a URDF gets a robot file. Raises `ConfigurationError`: It cannot be."""
+        if path.suffix.lower() != DESCRIPTION:
+            self.choose(path)
+            return
+        output = self.places.robots / f"{path.stem}.yaml"
+        output.parent.mkdir(parents=True, exist_ok=True)
+        words = ["robot", "new", self.shown(path), "--output", str(output)]
+        self.jobs.begin(Job("Robot file", [Step(words)]))
+
+    def robots(self) -> dict[str, str]:
+        """Arms that are ready: those of the package, and files that were made here."""
+        made = sorted(self.places.robots.glob("*.yaml"))
+        return {name: name for name in resource_names("robots")} | {
+            str(path): path.name for path in made
+        }
 
     def leave(self, name: str) -> None:
         """Take one away."""

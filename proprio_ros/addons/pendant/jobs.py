@@ -52,7 +52,6 @@ class Job(Call):
         looks: str = "",
     ) -> None:
         super().__init__(title)
-        self.title = title
         self.steps = steps
         self.words = list(steps[0].words)
         self._done = done

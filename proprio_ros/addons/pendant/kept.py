@@ -55,7 +55,7 @@ def _each(folder: Path) -> Iterator[Kept]:
     except OSError:
         return  # nothing was kept yet
     for path in [path for path in inner if path.is_dir() and not path.is_symlink()][:MOST_FOLDERS]:
-        estimate = _estimate(path / ESTIMATE)
+        estimate = estimate_in(path)
         calibration = _there(path / CALIBRATION)
         bag = _there(path / "bag")
         report = _there(path / REPORT) or _there(path / BATCH)
@@ -67,7 +67,9 @@ def _there(path: Path) -> Path | None:
     return path if path.exists() and not path.is_symlink() else None
 
 
-def _estimate(path: Path) -> dict[str, Any]:
+def estimate_in(folder: Path) -> dict[str, Any]:
+    """The answer in a folder; empty: there is none."""
+    path = folder / ESTIMATE
     try:
         if path.is_symlink() or path.stat().st_size > LARGEST:
             return {}

@@ -34,7 +34,7 @@ def add_requests(site: FastAPI, pendant: Pendant) -> None:
         length = int(request.headers.get("content-length", -1))
         try:
             kept = await pendant.desk.places.receive(name, length, request.stream())
-            pendant.desk.choose(kept)
+            pendant.desk.take(kept)
         except ProprioError as error:
             return PlainTextResponse(str(error), REFUSED)
         except ClientDisconnect:

@@ -33,6 +33,7 @@ TAKEN = (
     ".csv",
     ".parquet",
 )
+DESCRIPTION = ".urdf"
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9 _.+-]{0,119}")
 _EPISODE = re.compile(r"#\d{1,9}$")
 
@@ -77,6 +78,11 @@ class Places:
     def uploads(self) -> Path:
         """Of what was uploaded."""
         return self.data / UPLOADS
+
+    @property
+    def robots(self) -> Path:
+        """Of files of arms."""
+        return self.data / "robots"
 
     def inside(self, text: str | Path) -> Path:
         """What a text names, links followed. Raises `ConfigurationError`: It is not below one of the folders."""
@@ -172,14 +178,14 @@ class Places:
         finally:
             self._receiving = False
             part.unlink(missing_ok=True)
-        if not is_recorded_file(target):
+        if target.suffix.lower() != DESCRIPTION and not is_recorded_file(target):
             target.unlink()
             raise ConfigurationError(f"{name}: no columns of times and joint positions in it")
         return target
 
     def _wanted(self, name: str, length: int) -> Path:
         shown = one_line(name, 60)
-        if not name.lower().endswith(TAKEN):
+        if not name.lower().endswith((*TAKEN, DESCRIPTION)):
             raise ConfigurationError(f"{shown}: is no recording; drop one of {', '.join(TAKEN)}")
         if not _NAME.fullmatch(name):
             raise ConfigurationError(f"{shown}: call it by letters, digits, spaces and _ . + -")

@@ -131,11 +131,9 @@ def body(news: News) -> Body | None:
     if held is None or not held.mass_kg > 0.0 or news.entries.get("holding") is False:
         return None
     ends = _numbers(news.said("estimate").values.get("payload_com.ci95"))
-    if len(ends) == AXES * 2 and all(map(math.isfinite, ends)):
-        lows = ends[::2]
-        highs = ends[1::2]
-        halves = [0.5 * (high - low) for low, high in zip(lows, highs, strict=True)]
-        return Body(held.centre_m, halves, True)
+    if len(ends) == 2 * AXES and np.all(np.isfinite(ends)):
+        widths = np.ptp(np.reshape(ends, (AXES, 2)), axis=1)
+        return Body(held.centre_m, (0.5 * widths).tolist(), True)
     radius_m = (0.75 * held.mass_kg / (WATER_KG_M3 * math.pi)) ** (1.0 / 3.0)
     return Body(held.centre_m, [radius_m] * AXES, False)
 

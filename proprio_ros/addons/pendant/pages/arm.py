@@ -8,6 +8,7 @@ from proprio_ros.addons.pendant import words
 from proprio_ros.addons.pendant.charts import LINE, chart
 from proprio_ros.addons.pendant.drawing import Drawing
 from proprio_ros.addons.pendant.news import CURVE_S, News
+from proprio_ros.addons.pendant.parts import card
 from proprio_ros.addons.pendant.pendant import Pendant
 
 MOVES_S = 0.1
@@ -23,14 +24,14 @@ def show(pendant: Pendant) -> None:
         return
     wrong = ui.html().classes("warnings").props('role="alert"')
     with ui.element("div").classes("columns"):
-        place = ui.element("section").classes("card").props('aria-label="The arm"')
-        with ui.element("section").classes("card").props('aria-label="In the hand"'):
+        place = card("The arm")
+        with card("In the hand"):
             hand = ui.html().classes("hand")
             curve = _curve()
     with ui.element("div").classes("columns"):
-        with ui.element("section").classes("card").props('aria-label="Joints"'):
+        with card("Joints"):
             joints = ui.html()
-        with ui.element("section").classes("card").props('aria-label="Health"'):
+        with card("Health"):
             lights = ui.html()
 
     def read() -> None:

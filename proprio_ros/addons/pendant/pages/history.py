@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from functools import partial
 from html import escape
-from pathlib import Path
 from typing import Any
 
 from nicegui import run, ui
@@ -15,7 +14,7 @@ from proprio_ros.addons.pendant.charts import draw
 from proprio_ros.addons.pendant.desk import Desk
 from proprio_ros.addons.pendant.kept import Kept, kept, terms
 from proprio_ros.addons.pendant.offline import address_of
-from proprio_ros.addons.pendant.pages.recordings import select
+from proprio_ros.addons.pendant.parts import card, heading, select
 from proprio_ros.addons.pendant.pendant import Pendant
 from proprio_ros.addons.pendant.words import table
 from proprio_ros.quantity import shown, spec_for
@@ -30,33 +29,20 @@ async def show(pendant: Pendant) -> None:
     """Fill the page."""
     desk = await pendant.at_desk()
     with ui.element("div").classes("steps history"):
-        roots = {str(path): f"{name}: {path}" for name, path in desk.places.roots.items()}
-
-        async def fill(folder: str | Path) -> None:
-            found = await run.io_bound(kept, desk.places, Path(folder))
-            place.clear()
-            with place:
-                await _fill(desk, found or [])
-
-        select("Folder", roots, str(desk.places.data), fill)
-        place = ui.element("div").classes("steps")
-    await fill(desk.places.data)
+        await _fill(desk, await run.io_bound(kept, desk.places, desk.places.data) or [])
 
 
 async def _fill(desk: Desk, found: Sequence[Kept]) -> None:
-    with ui.element("section").classes("card").props('aria-label="Kept"'):
-        ui.label("What was weighed, calibrated and recorded").classes("title").props(
-            "role=heading aria-level=1"
-        )
+    with card("Kept"):
+        heading("What was weighed, calibrated and recorded", 1)
         if not found:
-            ui.label(
-                "Nothing is kept there yet: what the wizard or Recordings answers is."
-            ).classes("small")
+            words = f"Nothing is kept in {desk.places.data} yet: what the wizard or Recordings answers is."
+            ui.label(words).classes("small")
             return
         ui.html(_table(desk, found), sanitize=False)
     answers = [each for each in found if each.estimate.get("estimates")]
     if len(answers) > 1:
-        with ui.element("section").classes("card").props('aria-label="Compare"'):
+        with card("Compare"):
             _Compare(answers)
     calibrated = [each for each in found if each.calibration][:MOST_CALIBRATIONS]
     if len(calibrated) > 1:
@@ -104,7 +90,7 @@ class _Compare:
             for name, each in self._answers.items()
         }
         self._chosen = list(names)[:2]
-        ui.label("Compare two answers").classes("title").props("role=heading aria-level=2")
+        heading("Compare two answers")
         with ui.element("div").classes("row"):
             for place, label in enumerate(("One", "The other")):
                 select(label, names, self._chosen[place], partial(self._choose, place))
@@ -170,8 +156,8 @@ async def _drift(calibrated: Sequence[Kept]) -> None:
         ]
         for joint in names
     }
-    with ui.element("section").classes("card").props('aria-label="How the arm drifts"'):
-        ui.label("How the arm drifts").classes("title").props("role=heading aria-level=2")
+    with card("How the arm drifts"):
+        heading("How the arm drifts")
         title = "Dry friction [N m or N], by calibration"
         draw([{"title": title, "curves": curves, "across": {"type": "category"}}])
         ui.html(table(["calibrated", *names], rows), sanitize=False)

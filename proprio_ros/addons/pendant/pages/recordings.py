@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Awaitable, Callable, Mapping
 from functools import partial
 from html import escape
@@ -17,8 +18,9 @@ from proprio_ros.addons.pendant.desk import KNOWN, ROLES, Chosen, Desk, batches
 from proprio_ros.addons.pendant.jobs import Job
 from proprio_ros.addons.pendant.kept import calibrations
 from proprio_ros.addons.pendant.offline import address_of
+from proprio_ros.addons.pendant.parts import attempt, card, drop, heading, refuse, select
 from proprio_ros.addons.pendant.pendant import Pendant
-from proprio_ros.addons.pendant.places import MOST_BYTES, TAKEN, UPLOADS, Entry
+from proprio_ros.addons.pendant.places import TAKEN, UPLOADS, Entry
 from proprio_ros.addons.pendant.progress import READS_S, Progress
 from proprio_ros.errors import ProprioError
 from proprio_ros.inputs.resources import resource_names
@@ -27,60 +29,22 @@ from proprio_ros.probes import all_probes
 SHOWS = (
     "setTimeout(() => document.querySelector('.progress').scrollIntoView({block: 'center'}), 700)"
 )
-SENDS = """async (event) => {
-  event.preventDefault();
-  for (const file of [...(event.dataTransfer || event.target).files]) emit(await sendRecording(file, MOST));
-  if (event.type === "change") event.target.value = "";
-}""".replace("MOST", str(MOST_BYTES))
+DRAGS = "(event) => event.dataTransfer.setData('text/plain', %s)"
+DROPS = "(event) => { event.preventDefault(); emit(event.dataTransfer.getData('text/plain')); }"
 
 
 async def show(pendant: Pendant) -> None:
     """Fill the page."""
     desk = await pendant.at_desk()
     with ui.element("div").classes("offline"):
-        _Browser(pendant, ui.element("section").classes("card").props('aria-label="Choose"'))
+        _Browser(pendant, card("Choose"))
         with ui.element("div").classes("steps"):
-            chosen = ui.element("section").classes("card").props('aria-label="Chosen recordings"')
-            asked = ui.element("section").classes("card").props('aria-label="What is asked"')
+            chosen = card("Chosen recordings")
+            asked = card("What is asked")
             fill = partial(_ask, pendant, asked)
             await fill()
             _Outcome(desk, fill)
     _Chosen(pendant, chosen)
-
-
-def attempt(act: Callable[[], Any]) -> None:
-    """Do it, or say why not."""
-    try:
-        act()
-    except ProprioError as error:
-        ui.notify(str(error), type="negative", timeout=8000)
-
-
-def select(
-    label: str, options: Mapping[str, str], value: str, change: Callable[[str], Any]
-) -> ui.element:
-    """A box of the browser's own, which keys move through.
-
-    Args:
-        label: Its name.
-        options: Words by what they stand for.
-        value: What is chosen.
-        change: Called with what is chosen then.
-    """
-    marks = {True: " selected", False: ""}
-    inner = "".join(
-        f'<option value="{escape(key)}"{marks[key == value]}>{escape(words)}</option>'
-        for key, words in options.items()
-    )
-
-    def heard(event: GenericEventArguments) -> Any:
-        return change(event.args) if event.args in options else None
-
-    with ui.element("label").classes("choice"):
-        ui.element("span").classes("small").props(f'aria-hidden="true" innerHTML="{escape(label)}"')
-        box = ui.html(inner, tag="select", sanitize=False).props(f'aria-label="{escape(label)}"')
-    box.on("change", heard, js_handler="(event) => emit(event.target.value)")
-    return box
 
 
 class _Browser:
@@ -91,7 +55,7 @@ class _Browser:
         self._reads_only = pendant.read_only
         self._folder = self._desk.places.begun
         with place:
-            ui.label("Choose").classes("title").props("role=heading aria-level=1")
+            heading("Choose", 1)
             roots = {str(path): name for name, path in self._desk.places.roots.items()}
             select("Folder", roots, str(self._folder), self._go)
             self._where = ui.label().classes("command")
@@ -99,7 +63,8 @@ class _Browser:
             if batches() and not self._reads_only:
                 ui.button("Batch over this folder", on_click=self._batch).props("outline no-caps")
             if not self._reads_only:
-                _drop()
+                hint = f"{', '.join(TAKEN[:2])}, .csv, .parquet; kept in {UPLOADS}"
+                drop("Drop a recording, or choose a file", hint, TAKEN)
         ui.timer(0.0, self._show, once=True)
 
     async def _go(self, folder: str | Path) -> None:
@@ -111,7 +76,7 @@ class _Browser:
         try:
             found = await run.io_bound(places.entries, self._folder)
         except ProprioError as error:
-            ui.notify(str(error), type="negative", timeout=8000)
+            refuse(str(error))
             found = []
         self._where.set_text(str(self._folder))
         self._list.clear()
@@ -139,23 +104,6 @@ class _Browser:
         ui.run_javascript(SHOWS)
 
 
-def _drop() -> None:
-    """Where a file of this computer can be dropped or chosen."""
-
-    def heard(event: GenericEventArguments) -> None:
-        if event.args:
-            ui.notify(str(event.args), type="negative", timeout=8000)
-
-    with ui.element("label").classes("drop") as zone:
-        ui.label("Drop a recording, or choose a file")
-        ui.label(f"{', '.join(TAKEN[:2])}, .csv, .parquet; kept in {UPLOADS}").classes("small")
-        files = ui.element("input").props(f'type=file multiple accept="{",".join(TAKEN)}"')
-        files.props('aria-label="Recordings to upload"')
-    files.on("change", heard, js_handler=SENDS)
-    zone.on("drop", heard, js_handler=SENDS)
-    zone.on("dragover", js_handler="(event) => event.preventDefault()")
-
-
 class _Chosen:
     """Recordings on the desk."""
 
@@ -163,17 +111,28 @@ class _Chosen:
         self._desk = pendant.desk
         self._rows: dict[str, _Row] = {}
         with place:
-            ui.label("Recordings").classes("title").props("role=heading aria-level=2")
+            heading("Recordings")
             self._none = ui.label("None is chosen yet: choose a bag, a table or an episode.")
             self._none.classes("small")
+            with ui.element("div").classes("row") as self._roles:
+                for role, words in ROLES.items():
+                    zone = ui.label(f"Drag here: {words}").classes("drop small")
+                    zone.on("drop", partial(self._give, role), js_handler=DROPS)
+                    zone.on("dragover", js_handler="(event) => event.preventDefault()")
             self._place = ui.element("div")
         ui.timer(READS_S, self._read, immediate=True)
+
+    def _give(self, role: str, event: GenericEventArguments) -> None:
+        each = self._desk.chosen.get(event.args)
+        if each is not None:
+            each.role = role
 
     def _read(self) -> None:
         desk = self._desk
         if desk.jobs.under_way is None:
             attempt(desk.begin_look)
         self._none.set_visibility(not desk.chosen)
+        self._roles.set_visibility(bool(desk.chosen))
         for name, row in list(self._rows.items()):
             if desk.chosen.get(name) is not row.each or row.is_old:
                 self._rows.pop(name).place.delete()
@@ -192,7 +151,8 @@ class _Row:
         self._role = each.role
         self._found: Mapping[str, Any] | None = None
         with ui.element("div").classes("chosen") as self.place:
-            self.place.props(f'role=group aria-label="{escape(name)}"')
+            self.place.props(f'draggable=true role=group aria-label="{escape(name)}"')
+            self.place.on("dragstart", js_handler=DRAGS % json.dumps(name))
             with ui.element("div").classes("head"):
                 ui.label(name).classes("name")
                 leave = ui.button("Leave out", on_click=partial(desk.leave, name))
@@ -244,15 +204,20 @@ async def _ask(pendant: Pendant, place: ui.element) -> None:
     asked = desk.asked
     found = await run.io_bound(calibrations, desk.places)
     known = {desk.shown(path): f"{path.parent.name}/{path.name}" for path in found or []}
+    drivers = {name: name for name in resource_names("drivers")}
     place.clear()
     with place:
-        ui.label("What is asked").classes("title").props("role=heading aria-level=2")
+        heading("What is asked")
         with ui.element("div").classes("row"):
             for label, key, options in (
                 ("Quantity", "probe", {probe.name: probe.name for probe in all_probes()}),
-                ("Robot", "robot", _named("open_manipulator_x, or the calibration's", "robots")),
+                (
+                    "Robot",
+                    "robot",
+                    {"": "open_manipulator_x, or the calibration's", **desk.robots()},
+                ),
                 ("Calibration", "calibration", {"": "none, or by the recordings above", **known}),
-                ("Driver", "driver", _named("not stated", "drivers")),
+                ("Driver", "driver", {"": "not stated", **drivers}),
                 (
                     "Unit of effort",
                     "effort_unit",
@@ -274,10 +239,6 @@ def _answer(desk: Desk) -> None:
     attempt(desk.begin_answer)
     if desk.jobs.latest is not before:
         ui.run_javascript(SHOWS)
-
-
-def _named(otherwise: str, kind: str) -> dict[str, str]:
-    return {"": otherwise, **{name: name for name in resource_names(kind)}}
 
 
 def _state(desk: Desk, key: str, value: str) -> None:
@@ -309,7 +270,7 @@ class _Outcome:
         job = self._desk.jobs.latest
         runs = self._desk.jobs.under_way is not None
         self._cancel.set_visibility(runs)
-        title = job.title if job is not None else ""
+        title = job.service if job is not None else ""
         doing = "is being cancelled" if job is not None and job.cancelled else "at work"
         changed = self._progress.read(job, title, doing, runs)
         if job is not None and changed and not runs:

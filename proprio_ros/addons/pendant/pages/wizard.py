@@ -13,6 +13,8 @@ from proprio_ros.addons.pendant.answers import answer, figures_of, report_of
 from proprio_ros.addons.pendant.charts import draw
 from proprio_ros.addons.pendant.drawing import Drawing
 from proprio_ros.addons.pendant.offline import address_of
+from proprio_ros.addons.pendant.pages.which_arm import WhichArm
+from proprio_ros.addons.pendant.parts import card, heading, refuse
 from proprio_ros.addons.pendant.pendant import Pendant
 from proprio_ros.addons.pendant.progress import READS_S, Progress
 from proprio_ros.addons.pendant.tasks import CALIBRATE, Task, settings_of, tasks, what_moves
@@ -30,7 +32,7 @@ async def show(pendant: Pendant) -> None:
     with ui.element("div").classes("wizard"):
         choices = ui.element("nav").classes("tasks").props('aria-label="What to do"')
         with ui.element("div").classes("steps"):
-            asked = ui.element("section").classes("card").props('aria-label="Task"')
+            asked = card("Task")
             _Progress(
                 pendant,
                 {task.service: task.title for task in found},
@@ -41,6 +43,8 @@ async def show(pendant: Pendant) -> None:
         ui.context.client,
     )
     with choices:
+        arm = WhichArm(pendant, asked)
+        ui.button("Which arm", on_click=arm.show).props("flat no-caps")
         for task in found:
             button = ui.button(
                 task.title,
@@ -68,7 +72,7 @@ class _Forms:
         self._reference = None
         self._place.clear()
         with self._place:
-            ui.label(task.title).classes("title").props("role=heading aria-level=1")
+            heading(task.title, 1)
             ui.label(task.hand).classes("hand-words")
             for fact in task.facts:
                 field = ui.input(f"{fact.label} [mm]").props(
@@ -101,7 +105,7 @@ class _Forms:
                 raise ConfigurationError(why)
             sequences = await self._sequences(task)
         except ConfigurationError as error:
-            _refused(error)
+            refuse(str(error))
             return
         robot = await self._pendant.robot()
         with ui.dialog() as dialog, ui.card().classes("confirm"):
@@ -186,7 +190,7 @@ class _Forms:
                 settings,
             )
         except ConfigurationError as error:
-            _refused(error)
+            refuse(str(error))
             return
         if before:
             call.then = lambda: self._pendant.put_back(before)
@@ -243,8 +247,3 @@ class _Progress:
         if named:
             with self._curves:
                 draw([{"title": "Measured in each run [rad or m]", "curves": named}])
-
-
-def _refused(error: ConfigurationError) -> None:
-    """Say why nothing begins, for as long as it takes to read."""
-    ui.notify(str(error), type="negative", timeout=8000)

@@ -1,0 +1,122 @@
+"""Which arm: the one that the nodes work with, one that is ready, or a URDF whose robot file is asked for what it lacks."""
+
+from __future__ import annotations
+
+import re
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from nicegui import ui
+
+from proprio_ros.addons.pendant.jobs import Job
+from proprio_ros.addons.pendant.parts import attempt, drop, heading, select
+from proprio_ros.addons.pendant.pendant import Pendant
+from proprio_ros.addons.pendant.places import DESCRIPTION
+from proprio_ros.addons.pendant.progress import READS_S
+from proprio_ros.inputs.resources import write_in_one_step
+from proprio_ros.robot import load_robot
+
+LACKS = {
+    "nominal_torque_constant_N_m_per_A": (
+        "torque constant [N m/A]",
+        "by which the driver makes an effort of a current, or the data sheet's; 1: efforts are torques",
+    ),
+    "transmission_m_per_rad": (
+        "way per angle of the motor [m/rad]",
+        "how far it slides in one turn of the motor, by 6.283",
+    ),
+    "current_limit_A": (
+        "largest current [A]",
+        "of the motor's data sheet; only pushes need it",
+    ),
+}
+"""What no URDF says, with its unit, and where to find it."""
+
+
+def filled(text: str, values: dict[str, float]) -> str:
+    """A robot file, as ``proprio robot new`` writes it, with values by key, such as ``joints.NAME.motor.current_limit_A``."""
+    for key, value in values.items():
+        joint, name = _parts(key)
+        place = re.compile(rf"(\n  {re.escape(joint)}:.*?\n +{name}: )\S+", re.S)
+        text = place.sub(rf"\g<1>{value:g}", text, count=1)
+    return text
+
+
+def _parts(key: str) -> list[str]:
+    """Of a key that a robot file lacks: its joint, and what is lacking there."""
+    return key.removeprefix("joints.").replace(".motor.", ".").rsplit(".", 1)
+
+
+class WhichArm:
+    """What is asked before the nodes work with another arm.
+
+    Args:
+        pendant: Whose arm it is.
+        place: To be filled.
+    """
+
+    def __init__(self, pendant: Pendant, place: ui.element) -> None:
+        self._pendant = pendant
+        self._place = place
+        self._job: Job | None = None
+        self._asked: dict[str, ui.number] = {}
+
+    async def show(self) -> None:
+        """Fill the place."""
+        found = await self._pendant.robot()
+        self._place.clear()
+        with self._place:
+            heading("Which arm", 1)
+            now = f"The nodes work with {found.name}." if found else "No node says which arm it is."
+            ui.label(now).classes("hand-words")
+            ready = {"": "choose ...", **self._pendant.desk.robots()}
+            select("Another that is ready", ready, "", self._choose)
+            if not self._pendant.read_only:
+                drop("Drop a URDF, or choose a file", f"{DESCRIPTION}: of any arm", (DESCRIPTION,))
+            self._form = ui.element("div").classes("steps").props("role=status")
+            ui.timer(READS_S, self._read)
+
+    def _choose(self, name: str) -> None:
+        self._form.clear()
+        if name:
+            with self._form:
+                ui.label("Start the nodes with it:")
+                ui.label(f"proprio live --robot {name}").classes("command")
+
+    def _read(self) -> None:
+        jobs = self._pendant.desk.jobs
+        job = jobs.latest
+        if job is None or job is self._job or jobs.under_way or job.steps[0].kind != "robot":
+            return
+        self._job = job
+        self._form.clear()
+        with self._form:
+            self._ask(job.steps[0].answer)
+
+    def _ask(self, new: dict[str, Any]) -> None:
+        """What a new file lacks."""
+        if "to_state" not in new:
+            ui.label(str(new["message"]))
+            return
+        limits = [f"joints.{joint}.motor.current_limit_A" for joint in new["no_effort_limit"]]
+        ui.label(f"{new['robot']}: what its URDF does not say").classes("hand-words")
+        path = Path(new["output"])
+        guess = (
+            f"Objects are held in {new['payload_frame']}, a guess; another: payload_frame in {path}"
+        )
+        ui.label(guess)
+        self._asked = {}
+        for key in (*new["to_state"], *limits):
+            joint, name = _parts(key)
+            label, where = LACKS[name]
+            self._asked[key] = ui.number(f"{joint}: {label}").props(f'outlined hint="{where}"')
+        write = partial(attempt, partial(self._write, path))
+        ui.button("Write the robot file", on_click=write).props("no-caps size=lg")
+
+    def _write(self, path: Path) -> None:
+        values = {key: float(it.value) for key, it in self._asked.items() if it.value is not None}
+        text = filled(path.read_text(encoding="utf-8"), values)
+        write_in_one_step(path, text, "the robot file")
+        load_robot(path)
+        self._choose(str(path))
