@@ -11,7 +11,7 @@ import numpy as np
 from nicegui import ui
 from nicegui.elements.scene import Scene
 
-from proprio_ros.addons.pendant.ways import Ways
+from proprio_ros.addons.pendant.ways import Places
 from proprio_ros.addons.pendant.words import Body
 from proprio_ros.robot import RobotModel
 
@@ -114,11 +114,10 @@ class Drawing:
             self._held.move(*body.centre_m)
             self._held.scale(*[max(half, LEAST_M) for half in body.half_m])
 
-    def ways(self, ways: Ways) -> None:
+    def way(self, places: Places, colour: list[float]) -> None:
         """Draw where the hand will go."""
         with self.scene:
-            for points, colour in ((ways.between_m, GREY), (ways.pushed_m, ORANGE)):
-                self.scene.point_cloud(points, [colour] * len(points), POINT_M)
+            self.scene.point_cloud(places, [colour] * len(places), POINT_M)
 
 
 def _scene(reach: float) -> Scene:

@@ -52,29 +52,19 @@ class Held:
     centre_m: tuple[float, ...]
 
 
-@dataclass(frozen=True)
-class Push:
-    """Joints while one is pushed.
+Push = list[tuple[float, dict[str, float]]]
+"""By a clock [s], all joints while one is pushed [rad or m]."""
 
-    Attributes:
-        times_s: By the clock.
-        positions: Of all joints at these times [rad or m].
-    """
 
-    times_s: list[float] = field(default_factory=list)
-    positions: list[dict[str, float]] = field(default_factory=list)
+def curve_of(push: Push) -> tuple[str, list[list[float]]]:
+    """The joint that went farthest, and its way: times from the begin [s], positions [rad or m]."""
+    begin_s, first = push[0]
 
-    def curve(self) -> tuple[str, list[list[float]]]:
-        """The joint that went farthest, and its way: times from the begin [s], positions [rad or m]."""
-        first = self.positions[0]
-        travels = {
-            name: max(abs(each[name] - at) for each in self.positions) for name, at in first.items()
-        }
-        joint = max(travels, key=lambda name: travels[name])
-        way = zip(self.times_s, self.positions, strict=True)
-        return joint, [
-            [round(time_s - self.times_s[0], 3), round(each[joint], 5)] for time_s, each in way
-        ]
+    def travel(name: str) -> float:
+        return max(abs(pose[name] - first[name]) for _, pose in push)
+
+    joint = max(first, key=travel)
+    return joint, [[round(at_s - begin_s, 3), round(pose[joint], 5)] for at_s, pose in push]
 
 
 @dataclass(frozen=True)
@@ -149,11 +139,9 @@ class News:
         self.hear("states")
         if self.pushing:
             if not self._pushed:
-                self.pushes.append(Push())
-            push = self.pushes[-1]
-            if len(push.times_s) < MOST_SAMPLES:
-                push.times_s.append(self.now())
-                push.positions.append(dict(self.positions))
+                self.pushes.append([])
+            if len(self.pushes[-1]) < MOST_SAMPLES:
+                self.pushes[-1].append((self.now(), dict(self.positions)))
         self._pushed = self.pushing
 
     def hear_estimate(self, said: Said, late_s: float = 0.0) -> None:

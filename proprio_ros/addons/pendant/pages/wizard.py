@@ -11,7 +11,8 @@ from nicegui import Client, ui
 
 from proprio_ros.addons.pendant.answers import answer, figures_of, report_of
 from proprio_ros.addons.pendant.charts import draw
-from proprio_ros.addons.pendant.drawing import Drawing
+from proprio_ros.addons.pendant.drawing import GREY, ORANGE, Drawing
+from proprio_ros.addons.pendant.news import curve_of
 from proprio_ros.addons.pendant.offline import address_of
 from proprio_ros.addons.pendant.pages.which_arm import WhichArm
 from proprio_ros.addons.pendant.parts import card, heading, refuse
@@ -132,14 +133,15 @@ class _Forms:
         """The arm as it stands, and where its hand will go."""
         pose = self._pendant.news.positions
         try:
-            ways = await asyncio.to_thread(ways_of, sequences, robot, pose)
+            between, pushed = await asyncio.to_thread(ways_of, sequences, robot, pose)
         except ProprioError as error:
             ui.label(f"Its ways cannot be drawn: {error}")
             return
-        if ways.pushed_m:
+        if pushed:
             drawing = Drawing(robot.model, robot.payload_frame)
             drawing.show(pose)
-            drawing.ways(ways)
+            drawing.way(between, GREY)
+            drawing.way(pushed, ORANGE)
             ui.label("Orange: as far as pushes may take the hand. Grey: on the way there.")
 
     async def _sequences(self, task: Task) -> list[str]:
@@ -242,7 +244,7 @@ class _Progress:
             return
         self._drawn = len(over)
         self._curves.clear()
-        curves = [push.curve() for push in over]
+        curves = [curve_of(push) for push in over]
         named = {f"{n} {joint}": way for n, (joint, way) in enumerate(curves, 1)}
         if named:
             with self._curves:
