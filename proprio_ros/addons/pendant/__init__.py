@@ -3,9 +3,11 @@
 ``gate``       every request and socket, before anything else sees it;
 ``lease``      who may move the arm;
 ``news``       what the nodes say, with its age; ``listener`` hears it, the only module here that imports ROS;
-``calls``      ``proprio call`` as a process, one at a time;
-``places``     where recordings may lie; ``desk`` those that are chosen; ``jobs`` commands about them as processes, one at a time;
+``calls``      commands of ``proprio`` as processes, one at a time: services, and what is computed from recordings;
+``tasks``      what the wizard can have done, and what will move;
+``places``     where recordings may lie; ``desk`` those that are chosen; ``kept`` what was answered;
 ``pendant``    these together;
+``words``, ``results``, ``parts``, ``drawing``  what is said, answered and drawn, for all pages;
 ``frame``      what every page has: navigation, lights, STOP; ``pages`` has a module for each;
 ``server``     the pages behind the gate.
 """

@@ -14,8 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from proprio_ros import registry
-from proprio_ros.addons.pendant.calls import Calls
-from proprio_ros.addons.pendant.jobs import Job, Step
+from proprio_ros.addons.pendant.calls import Calls, Job, Step
 from proprio_ros.addons.pendant.places import DESCRIPTION, Places
 from proprio_ros.errors import ConfigurationError
 from proprio_ros.inputs.resources import resource_names, write_in_one_step

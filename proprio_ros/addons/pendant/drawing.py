@@ -11,7 +11,7 @@ import numpy as np
 from nicegui import ui
 from nicegui.elements.scene import Scene
 
-from proprio_ros.addons.pendant.ways import Places
+from proprio_ros.addons.pendant.tasks import Places
 from proprio_ros.addons.pendant.words import Body
 from proprio_ros.robot import RobotModel
 

@@ -10,6 +10,7 @@ import re
 from collections.abc import AsyncIterator
 from pathlib import Path
 from typing import NamedTuple
+from urllib.parse import quote
 
 from proprio_ros.errors import ConfigurationError, one_line
 from proprio_ros.inputs.reading import path_problem
@@ -83,6 +84,13 @@ class Places:
     def robots(self) -> Path:
         """Of files of arms."""
         return self.data / "robots"
+
+    def address(self, page: Path | None) -> str:
+        """Where a browser finds a page that an answer has; empty: it is not there."""
+        for number, root in enumerate(self.roots.values()):
+            if page is not None and page.is_relative_to(root) and page.is_file():
+                return f"/kept/{number}/{quote(str(page.relative_to(root)))}"
+        return ""
 
     def inside(self, text: str | Path) -> Path:
         """What a text names, links followed. Raises `ConfigurationError`: It is not below one of the folders."""

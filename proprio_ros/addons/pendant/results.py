@@ -1,18 +1,24 @@
-"""What commands about recordings answered, as a person reads it; as HTML."""
+"""What services, and commands about recordings, answered, as a person reads it; as HTML."""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from html import escape
 from pathlib import Path
 from typing import Any
 
-from proprio_ros.addons.pendant.jobs import GOOD, Step
+from proprio_ros.addons.pendant.calls import GOOD, Call, Step
+from proprio_ros.addons.pendant.desk import REPORT
+from proprio_ros.addons.pendant.kept import estimate_in
 from proprio_ros.addons.pendant.words import answer_of, table
 from proprio_ros.identification.reasons import REMEDIES
 from proprio_ros.quantity import shown, spec_for
 from proprio_ros.recordings.datasets import arrow
 
+_KEPT = re.compile(r"\b(recording|calibration): (\S[^;]*)")
+_RUNS = re.compile(r'<figure>(<svg class="chart" role="img" aria-label="Run .+?)</figure>', re.S)
+MOST_RUNS = 24
 MOST_ROWS = 500
 DONE = "done"
 """Of what has no verdict."""
@@ -161,3 +167,39 @@ def _batch(found: Mapping[str, Any]) -> str:
             [escape(row["episode"]), value, interval, verdict(row["verdict"]), escape(codes)]
         )
     return head + table(["recording", "answer", "95 % interval", "verdict", "reasons"], cells)
+
+
+def folder_of(message: str) -> Path | None:
+    """Where the nodes keep what an answer names, the recording first, as far as it is on this computer."""
+    found = dict(_KEPT.findall(message))
+    place = found.get("recording") or found.get("calibration")
+    folder = Path(place).parent if place else None
+    return folder if folder is not None and folder.is_dir() else None
+
+
+def report_of(call: Call | None) -> Path | None:
+    """The page of a call's answer."""
+    folder = folder_of(str(call.answer["message"])) if call is not None and call.answer else None
+    page = folder / REPORT if folder is not None else None
+    return page if page is not None and page.is_file() else None
+
+
+def figures_of(page: Path | None) -> str:
+    """What was measured and simulated in each run, as the page of an answer draws it."""
+    text = page.read_text(encoding="utf-8") if page is not None else ""
+    return "".join(_RUNS.findall(text)[:MOST_RUNS])
+
+
+def answer(call: Call) -> str:
+    """All that came of it."""
+    found = call.answer or {}
+    message = str(found.get("message", ""))
+    estimate = found.get("estimate") or {}
+    badge = verdict(str(estimate.get("verdict") or (DONE if found.get("success") else "not done")))
+    otherwise = _KEPT.sub("", message).strip("; ")
+    said = [str(estimate[key]) for key in estimate if key.startswith("reason.")]
+    # by their codes, where the file of the answer is on this computer
+    folder = folder_of(message)
+    codes = estimate_in(folder).get("reason_codes", []) if folder is not None else []
+    why = reason_list(said, codes if len(codes) == len(said) else [])
+    return shown_answer(badge, *answer_of(estimate), otherwise) + why

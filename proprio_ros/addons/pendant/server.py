@@ -10,20 +10,29 @@ from functools import partial
 from pathlib import Path
 
 import uvicorn
-from fastapi import FastAPI
-from fastapi.responses import PlainTextResponse
+from fastapi import FastAPI, Request
+from fastapi.responses import FileResponse, PlainTextResponse, Response
 from nicegui import app, ui
+from starlette.requests import ClientDisconnect
 
 from proprio_ros.addons.pendant.frame import frame
 from proprio_ros.addons.pendant.gate import Gate
 from proprio_ros.addons.pendant.lease import SILENCE_S
-from proprio_ros.addons.pendant.offline import add_requests
 from proprio_ros.addons.pendant.pendant import Pendant
-from proprio_ros.errors import ConfigurationError
+from proprio_ros.errors import ConfigurationError, ProprioError
+from proprio_ros.inputs.resources import WRITTEN_BY
 
 WATCH_S = 0.5
 LONGEST_MESSAGE = 2**20  # bytes, of a socket
 HERE = Path(__file__).parent
+REFUSED = 403
+NOT_THERE = 404
+HEAD = 1000  # characters, in which a page says who wrote it
+# it draws by scripts of its own, and is not to click here
+ALONE = {
+    "Content-Security-Policy": "sandbox allow-scripts allow-popups",
+    "Cache-Control": "no-store",
+}
 
 
 def serve(pendant: Pendant, host: str, port: int, begin: Callable[[], object]) -> None:
@@ -91,7 +100,7 @@ def _site(pendant: Pendant) -> FastAPI:
         shared=True,
     )
 
-    add_requests(site, pendant)
+    _add_requests(site, pendant)
     app.timer(WATCH_S, pendant.watch)
     app.on_shutdown(pendant.close)
     app.config.socket_io_js_transports = ["websocket"]
@@ -106,3 +115,40 @@ def _site(pendant: Pendant) -> FastAPI:
         show_welcome_message=False,
     )
     return site
+
+
+def _add_requests(site: FastAPI, pendant: Pendant) -> None:
+    """About recordings: a file that is dropped on the page, and pages that answers have."""
+
+    @site.post("/upload")
+    async def upload(request: Request, name: str = "") -> PlainTextResponse:
+        if pendant.read_only:
+            return PlainTextResponse("this pendant only looks (--read-only)", REFUSED)
+        length = int(request.headers.get("content-length", -1))
+        try:
+            kept = await pendant.desk.places.receive(name, length, request.stream())
+            pendant.desk.take(kept)
+        except ProprioError as error:
+            return PlainTextResponse(str(error), REFUSED)
+        except ClientDisconnect:
+            return PlainTextResponse("", REFUSED)  # nobody is there to read it
+        return PlainTextResponse("")
+
+    @site.get("/kept/{number}/{path:path}")
+    def kept(number: int, path: str) -> Response:
+        places = pendant.desk.places
+        roots = list(places.roots.values())
+        try:
+            page = places.inside(roots[number] / path) if number in range(len(roots)) else None
+        except ProprioError as error:
+            return PlainTextResponse(str(error), REFUSED)
+        if page is None or not _is_ours(page):
+            return PlainTextResponse("there is no page of an answer there", NOT_THERE)
+        return FileResponse(page, headers=ALONE)
+
+
+def _is_ours(page: Path) -> bool:
+    if page.suffix != ".html" or not page.is_file():
+        return False
+    with page.open(encoding="utf-8", errors="replace") as stream:
+        return WRITTEN_BY in stream.read(HEAD)

@@ -14,8 +14,8 @@ import pytest
 
 pytest.importorskip("nicegui")
 
+from proprio_ros.addons.pendant.calls import Job
 from proprio_ros.addons.pendant.desk import ASKED, BESIDE, EMPTY, KNOWN, Desk
-from proprio_ros.addons.pendant.jobs import Job
 from proprio_ros.addons.pendant.kept import calibrations, kept, terms
 from proprio_ros.addons.pendant.places import Places
 from proprio_ros.addons.pendant.results import answered, number_of

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from proprio_ros.addons.pendant import words
-from proprio_ros.addons.pendant.answers import answer, folder_of, report_of
 from proprio_ros.addons.pendant.calls import Call
 from proprio_ros.addons.pendant.lease import SILENCE_S, Lease
 from proprio_ros.addons.pendant.news import CURVE_S, News, Said
+from proprio_ros.addons.pendant.results import answer, folder_of, report_of
 from proprio_ros.addons.pendant.tasks import settings_of, tasks, what_moves
 from proprio_ros.errors import ConfigurationError
 from proprio_ros.nodes.interface import services

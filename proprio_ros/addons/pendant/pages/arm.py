@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 from nicegui import ui
 
 from proprio_ros.addons.pendant import words
-from proprio_ros.addons.pendant.charts import LINE, chart
 from proprio_ros.addons.pendant.drawing import Drawing
 from proprio_ros.addons.pendant.news import CURVE_S, News
-from proprio_ros.addons.pendant.parts import card
+from proprio_ros.addons.pendant.parts import LINE, card, chart
 from proprio_ros.addons.pendant.pendant import Pendant
 
 MOVES_S = 0.1
@@ -43,44 +44,32 @@ def show(pendant: Pendant) -> None:
         _show_curve(curve, news)
 
     ui.timer(READS_S, read)
-    _Sight(pendant, place)
+    _see(pendant, place)
 
 
-class _Sight:
-    """The arm in three dimensions, once it is known which one it is."""
+def _see(pendant: Pendant, place: ui.element) -> None:
+    """Draw the arm, once it is known which one it is."""
+    with place:
+        waits = ui.label("Waiting for the identifier, which knows the arm.")
 
-    def __init__(self, pendant: Pendant, place: ui.element) -> None:
-        self._pendant = pendant
-        self._place = place
-        self._drawing: Drawing | None = None
-        with place:
-            self._waits = ui.label("Waiting for the identifier, which knows the arm.")
-        self._looks = ui.timer(
-            1.0,
-            self._look,
-        )
-
-    async def _look(self) -> None:
-        found = await self._pendant.robot()
+    async def look() -> None:
+        found = await pendant.robot()
         if found is None:
             return
-        self._looks.deactivate()
-        self._waits.delete()
-        with self._place:
-            self._drawing = Drawing(
-                found.model,
-                found.payload_frame,
-            )
-        with self._place:
-            ui.timer(MOVES_S, self._move)
+        looks.deactivate()
+        waits.delete()
+        with place:
+            drawing = Drawing(found.model, found.payload_frame)
+            ui.timer(MOVES_S, partial(_move, pendant.news, drawing))
 
-    def _move(self) -> None:
-        news = self._pendant.news
-        assert self._drawing is not None
-        self._drawing.show(news.positions)
-        self._drawing.hold(words.body(news))
-        old = news.is_old("states")
-        self._drawing.scene.classes(add="old" * old, remove="old" * (not old))
+    looks = ui.timer(1.0, look)
+
+
+def _move(news: News, drawing: Drawing) -> None:
+    drawing.show(news.positions)
+    drawing.hold(words.body(news))
+    old = news.is_old("states")
+    drawing.scene.classes(add="old" * old, remove="old" * (not old))
 
 
 def _curve() -> ui.echart:

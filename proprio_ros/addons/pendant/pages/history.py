@@ -10,11 +10,9 @@ from typing import Any
 from nicegui import run, ui
 
 from proprio_ros.addons.pendant import results
-from proprio_ros.addons.pendant.charts import draw
 from proprio_ros.addons.pendant.desk import Desk
 from proprio_ros.addons.pendant.kept import Kept, kept, terms
-from proprio_ros.addons.pendant.offline import address_of
-from proprio_ros.addons.pendant.parts import card, heading, select
+from proprio_ros.addons.pendant.parts import card, draw, heading, select
 from proprio_ros.addons.pendant.pendant import Pendant
 from proprio_ros.addons.pendant.words import table
 from proprio_ros.quantity import shown, spec_for
@@ -43,7 +41,7 @@ async def _fill(desk: Desk, found: Sequence[Kept]) -> None:
     answers = [each for each in found if each.estimate.get("estimates")]
     if len(answers) > 1:
         with card("Compare"):
-            _Compare(answers)
+            _compare(answers)
     calibrated = [each for each in found if each.calibration][:MOST_CALIBRATIONS]
     if len(calibrated) > 1:
         await _drift(calibrated[::-1])
@@ -54,7 +52,7 @@ def _table(desk: Desk, found: Sequence[Kept]) -> str:
     for each in found:
         number, interval = results.number_of(each.estimate)
         said = each.estimate.get("verdict", "")
-        page = address_of(each.report, desk.places) if each.report else ""
+        page = desk.places.address(each.report)
         link = (
             f'<a class="report" href="{escape(page)}" target="_blank">report</a>'
             if page
@@ -80,35 +78,28 @@ def _kind_of(each: Kept) -> str:
     return "recording" if each.bag else "batch"
 
 
-class _Compare:
+def _compare(answers: Sequence[Kept]) -> None:
     """Two answers beside each other."""
+    known = {each.folder.name: each.estimate for each in answers}
+    names = {
+        name: f"{name}: {results.number_of(estimate)[0] or 'no number'}"
+        for name, estimate in known.items()
+    }
+    chosen = list(names)[:2]
 
-    def __init__(self, answers: Sequence[Kept]) -> None:
-        self._answers = {each.folder.name: each for each in answers}
-        names = {
-            name: f"{name}: {results.number_of(each.estimate)[0] or 'no number'}"
-            for name, each in self._answers.items()
-        }
-        self._chosen = list(names)[:2]
-        heading("Compare two answers")
-        with ui.element("div").classes("row"):
-            for place, label in enumerate(("One", "The other")):
-                select(label, names, self._chosen[place], partial(self._choose, place))
-        self._shown = ui.html(sanitize=False).props("role=status")
-        self._show()
-
-    def _choose(self, place: int, name: str) -> None:
-        self._chosen[place] = name
-        self._show()
-
-    def _show(self) -> None:
-        both = [self._answers[name].estimate for name in self._chosen]
-        rows = [
-            [escape(title), *(escape(str(words)) for words in cells)]
-            for title, cells in _differences(*both)
-        ]
+    def choose(place: int, name: str) -> None:
+        chosen[place] = name
+        both = [known[each] for each in chosen]
+        rows = [[escape(title), *map(escape, cells)] for title, cells in _differences(*both)]
         said = f'<p class="state">{escape(_apart(*both))}</p>'
-        self._shown.set_content(table(["", *self._chosen], rows) + said)
+        beside.set_content(table(["", *chosen], rows) + said)
+
+    heading("Compare two answers")
+    with ui.element("div").classes("row"):
+        for place, label in enumerate(("One", "The other")):
+            select(label, names, chosen[place], partial(choose, place))
+    beside = ui.html(sanitize=False).props("role=status")
+    choose(0, chosen[0])
 
 
 def _differences(one: dict[str, Any], other: dict[str, Any]) -> list[tuple[str, list[str]]]:

@@ -13,15 +13,22 @@ from nicegui import run, ui
 from nicegui.events import GenericEventArguments
 
 from proprio_ros.addons.pendant import results
-from proprio_ros.addons.pendant.charts import draw
+from proprio_ros.addons.pendant.calls import Job
 from proprio_ros.addons.pendant.desk import KNOWN, ROLES, Chosen, Desk, batches
-from proprio_ros.addons.pendant.jobs import Job
 from proprio_ros.addons.pendant.kept import calibrations
-from proprio_ros.addons.pendant.offline import address_of
-from proprio_ros.addons.pendant.parts import attempt, card, drop, heading, refuse, select
+from proprio_ros.addons.pendant.parts import (
+    READS_S,
+    Progress,
+    attempt,
+    card,
+    draw,
+    drop,
+    heading,
+    refuse,
+    select,
+)
 from proprio_ros.addons.pendant.pendant import Pendant
 from proprio_ros.addons.pendant.places import TAKEN, UPLOADS, Entry
-from proprio_ros.addons.pendant.progress import READS_S, Progress
 from proprio_ros.errors import ProprioError
 from proprio_ros.inputs.resources import resource_names
 from proprio_ros.probes import all_probes
@@ -286,6 +293,6 @@ class _Outcome:
         for step in job.steps:
             if step.answer and not (step.kind == "check" and "error" not in step.answer):
                 ui.html(results.answered(step), sanitize=False)
-                page = address_of(step.report, self._desk.places) if step.report else ""
+                page = self._desk.places.address(step.report)
                 if page:
                     ui.link("Report", page, new_tab=True).classes("report")

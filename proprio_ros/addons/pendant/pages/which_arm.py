@@ -9,11 +9,10 @@ from typing import Any
 
 from nicegui import ui
 
-from proprio_ros.addons.pendant.jobs import Job
-from proprio_ros.addons.pendant.parts import attempt, drop, heading, select
+from proprio_ros.addons.pendant.calls import Job
+from proprio_ros.addons.pendant.parts import READS_S, attempt, drop, heading, select
 from proprio_ros.addons.pendant.pendant import Pendant
 from proprio_ros.addons.pendant.places import DESCRIPTION
-from proprio_ros.addons.pendant.progress import READS_S
 from proprio_ros.inputs.resources import write_in_one_step
 from proprio_ros.robot import load_robot
 

@@ -9,26 +9,28 @@ from html import escape
 
 from nicegui import Client, ui
 
-from proprio_ros.addons.pendant.answers import answer, figures_of, report_of
-from proprio_ros.addons.pendant.charts import draw
 from proprio_ros.addons.pendant.drawing import GREY, ORANGE, Drawing
 from proprio_ros.addons.pendant.news import curve_of
-from proprio_ros.addons.pendant.offline import address_of
 from proprio_ros.addons.pendant.pages.which_arm import WhichArm
-from proprio_ros.addons.pendant.parts import card, heading, refuse
+from proprio_ros.addons.pendant.parts import READS_S, Progress, card, draw, heading, refuse
 from proprio_ros.addons.pendant.pendant import Pendant
-from proprio_ros.addons.pendant.progress import READS_S, Progress
-from proprio_ros.addons.pendant.tasks import CALIBRATE, Task, settings_of, tasks, what_moves
-from proprio_ros.addons.pendant.ways import ways_of
+from proprio_ros.addons.pendant.results import answer, figures_of, report_of
+from proprio_ros.addons.pendant.tasks import (
+    CALIBRATE,
+    Task,
+    settings_of,
+    tasks,
+    ways_of,
+    what_moves,
+)
 from proprio_ros.errors import ConfigurationError, ProprioError
 from proprio_ros.robot import Robot
 
 GRAMS = 1e-3  # kg
 
 
-async def show(pendant: Pendant) -> None:
+def show(pendant: Pendant) -> None:
     """Fill the page."""
-    await pendant.at_desk()
     found = tasks()
     with ui.element("div").classes("wizard"):
         choices = ui.element("nav").classes("tasks").props('aria-label="What to do"')
@@ -211,7 +213,7 @@ class _Progress:
             self._figures = ui.html().classes("figures")
         ui.timer(READS_S, self._read, immediate=True)
 
-    def _read(self) -> None:
+    async def _read(self) -> None:
         call = self._pendant.calls.latest
         if call is None:
             self._progress.read(None, "", "", False)
@@ -226,13 +228,14 @@ class _Progress:
         self._progress.bar.set_value((number - 0.5) / of if of else 0.0)
         self._draw()
         if changed:
+            desk = await self._pendant.at_desk()
             page = None if call.under_way else report_of(call)
             figures = figures_of(page)
             self._figures.set_content(figures)
             self._curves.set_visibility(not figures)
             with self._progress.answer:
                 ui.html("" if call.under_way else answer(call))
-                address = address_of(page, self._pendant.desk.places) if page is not None else ""
+                address = desk.places.address(page)
                 if address:
                     ui.link("Report", address, new_tab=True).classes("report")
 
