@@ -32,6 +32,13 @@ PICK = """(() => {
   return it.contains(document.elementFromPoint(...at)) ? at : null;
 })()"""
 """Where one would click; null while nothing is there, or something lies over it."""
+DRAG = """(() => {
+  const data = new DataTransfer(), from = document.querySelector(%s), to = document.querySelector(%s);
+  const say = (it, kind) => it.dispatchEvent(new DragEvent(kind, {dataTransfer: data, bubbles: true, cancelable: true}));
+  say(from, "dragstart");
+  if (say(to, "dragover")) throw "nothing may be dropped there";
+  say(to, "drop");
+})()"""
 STILL = """await (async (at) => {
   await new Promise((done) => setTimeout(done, 200));
   return String(at) === String(%s);
@@ -118,6 +125,10 @@ class Tab:
                 "Input.dispatchMouseEvent",
                 type=kind, x=box[0], y=box[1], button="left", clickCount=1,
             )  # fmt: skip
+
+    def drag(self, what: str, where: str) -> None:
+        """What a selector finds, to where another does: what the page would hear of a mouse."""
+        self.does(DRAG % (json.dumps(what), json.dumps(where)))
 
     def press(self, key: str, code: str = "", text: str = "") -> None:
         """A key, down and up."""

@@ -18,6 +18,7 @@ from support.pendant import Shown, pendant
 from support.tab import Browser, Tab
 
 from proprio_ros.addons.pendant.places import MOST_BYTES
+from proprio_ros.robot import load_robot
 
 REPOSITORY = Path(__file__).resolve().parents[3]
 BAGS = REPOSITORY / "bags"
@@ -27,6 +28,7 @@ TABLE = b"time_s,joint1.pos,joint2.pos\n" + b"".join(
     b"%.2f,0.%d,0.2\n" % (0.01 * row, row) for row in range(300)
 )
 MOST_TABS = 80
+NUMBERS = "[...document.querySelectorAll('main input[type=number]')].map((it) => it.ariaLabel)"
 
 
 @pytest.fixture(scope="module")
@@ -151,9 +153,7 @@ def test_a_file_of_this_computer_is_sent(
     tab.open(shown.address)
     tab.click("Recordings")
     tab.shows("Drop a recording")
-    picked = tab.call("Runtime.evaluate", expression="document.querySelector('.drop input')")
-    files = [str(odd), str(good)]
-    tab.call("DOM.setFileInputFiles", files=files, objectId=picked["result"]["objectId"])
+    choose_file(tab, odd, good)
     tab.shows("odd.csv: no columns of times and joint positions in it")
     tab.shows("uploads/sent.csv")
     tab.click("Leave out")
@@ -162,12 +162,71 @@ def test_a_file_of_this_computer_is_sent(
     tab.close()
 
 
+def choose_file(tab: Tab, *files: Path) -> None:
+    """As by the file box of the page."""
+    picked = tab.call("Runtime.evaluate", expression="document.querySelector('.drop input')")
+    place = picked["result"]["objectId"]
+    tab.call("DOM.setFileInputFiles", files=[str(file) for file in files], objectId=place)
+
+
+def test_a_role_is_given_by_drag_and_drop(shown: Shown, window: Browser) -> None:
+    tab = window.tab()
+    tab.open(shown.address)
+    tab.click("Recordings")
+    tab.shows(CUBE)
+    tab.click(CUBE)
+    tab.shows("bag_mcap")
+    tab.click("bag_mcap")
+    tab.shows("1 usable")
+    tab.drag(".chosen", ".row .drop:nth-child(2)")
+    tab.until("document.querySelector('[aria-label=\"In the hand\"]').value == 'empty'")
+    tab.drag(".chosen", ".row .drop:nth-child(3)")
+    tab.until("document.querySelector('[aria-label=\"Mass [g]\"]').offsetHeight > 0")
+    tab.click("Leave out")
+    tab.shows("None is chosen yet")
+    assert not tab.said
+    tab.close()
+
+
+def test_a_urdf_is_asked_for_what_it_lacks(
+    shown: Shown, window: Browser, home: Path, tmp_path: Path
+) -> None:
+    urdf = tmp_path / "my_arm.urdf"
+    shutil.copy(REPOSITORY / "urdf" / "pendulum.urdf", urdf)
+    other = tmp_path / "other.urdf"
+    other.write_text("<robot")
+    tab = window.tab()
+    tab.open(shown.address)
+    tab.click("Wizard")
+    tab.click("Which arm")
+    tab.shows("No node says which arm it is.")
+    choose_file(tab, other)
+    tab.shows("other.urdf")
+    choose_file(tab, urdf)
+    tab.shows("what its URDF does not say")
+    tab.shows("by which the driver makes an effort of a current")
+    tab.click("Write the robot file")
+    tab.shows("nominal_torque_constant")
+    file = home / ".ros/proprio_ros/robots/my_arm.yaml"
+    for number, _ in enumerate(boxes := tab.does(NUMBERS)):
+        tab.does(f"document.querySelectorAll('main input[type=number]')[{number}].focus()")
+        tab.call("Input.insertText", text=f"{0.25 + number}")
+    assert boxes
+    tab.click("Write the robot file")
+    tab.shows(f"proprio live --robot {file}")
+    robot = load_robot(file)
+    stated = [drive.nominal_torque_constant for drive in robot.drive_trains.values()]
+    assert 0.25 in stated
+    assert not tab.said
+    tab.close()
+
+
 def test_names_for_a_screen_reader(shown: Shown, window: Browser) -> None:
     tab = window.tab()
     tab.open(shown.address)
-    for page in ("Recordings", "History"):
+    for page in ("Wizard", "Recordings", "History"):
         tab.click(page)
-        tab.until("document.querySelectorAll('main select').length > 0")
+        tab.until("document.querySelectorAll('main button, main select').length > 0")
         nameless = (
             "[...document.querySelectorAll('main button, main a, main select, main input')].filter((it) => "
             "!(it.getAttribute('aria-label') || it.innerText.trim())).map((it) => it.outerHTML)"

@@ -7,16 +7,21 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from support.pushes import AWAY, one_push
 
 from proprio_ros.addons.pendant import words
 from proprio_ros.addons.pendant.calls import Call
 from proprio_ros.addons.pendant.lease import SILENCE_S, Lease
-from proprio_ros.addons.pendant.news import CURVE_S, News, Said
-from proprio_ros.addons.pendant.results import answer, folder_of, report_of
-from proprio_ros.addons.pendant.tasks import settings_of, tasks, what_moves
+from proprio_ros.addons.pendant.news import CURVE_S, Held, News, Said, curve_of
+from proprio_ros.addons.pendant.pages.which_arm import LACKS, filled
+from proprio_ros.addons.pendant.results import answer, figures_of, folder_of, report_of
+from proprio_ros.addons.pendant.tasks import settings_of, tasks, ways_of, what_moves
 from proprio_ros.errors import ConfigurationError
 from proprio_ros.nodes.interface import services
 from proprio_ros.robot import load_robot
+from proprio_ros.robot.new_file import new_robot_file
+
+REPOSITORY = Path(__file__).resolve().parents[3]
 
 
 class Hand:
@@ -174,3 +179,96 @@ def test_a_call_says_how_far_it_is() -> None:
     assert call.progress is None
     call.said += ["payload: run 2 of 3: moving", "live, 28 samples: 50.0 +- 2.7 g"]
     assert call.progress == (2, 3)
+
+
+def test_a_way_is_drawn_as_the_arm_turns(tmp_path: Path) -> None:
+    """A push of the first joint turns the hand about the vertical, as far either way as it may go."""
+    robot = load_robot("open_manipulator_x")
+    file = tmp_path / "push.yaml"
+    file.write_text(one_push(0.1, 1.0, AWAY, "joint1"))
+    between, pushed = ways_of([str(file)], robot, {"joint1": 0.3, "joint2": -0.4})
+    places = np.array(pushed)
+    axis = robot.model.joint("joint1").origin[:2, 3]
+    away = places[:, :2] - axis
+    assert np.ptp(places[:, 2]) < 1e-9 and np.ptp(np.hypot(*away.T)) < 1e-9
+    angles = np.unwrap(np.arctan2(away[:, 1], away[:, 0]))
+    assert np.ptp(angles) == pytest.approx(3.0)  # 1.5 rad either way
+    assert angles.mean() == pytest.approx(0.3)
+    way = np.array(between)
+    assert np.linalg.norm(np.diff(way, axis=0), axis=1).max() < 0.03, "without a jump"
+    assert np.linalg.norm(places - way[-1], axis=1).min() < 0.02, "to where the push begins"
+    assert ways_of(["payload_until"], robot, {})[1] == []
+
+
+def test_a_push_is_drawn_by_the_joint_that_went_farthest() -> None:
+    clock = Hand()
+    news = News(clock)
+
+    def phase(name: str) -> None:
+        news.hear("excitation", Said(0, "excitation", "", {"phase": name}))
+
+    for push in range(2):
+        phase("settle")
+        news.hear_states(["joint2", "joint3"], [0.1, 0.5], [])
+        phase("probe")
+        for step in range(4):
+            clock.at_s += 0.01
+            news.hear_states(["joint2", "joint3"], [0.1 + 0.001 * step, 0.5 - 0.1 * step], [])
+        assert news.pushing and len(news.pushes) == push + 1
+    joint, way = curve_of(news.pushes[1])
+    assert joint == "joint3"
+    assert way == [[0.0, 0.5], [0.01, 0.4], [0.02, 0.3], [0.03, 0.2]]
+
+
+def test_a_body_is_as_wide_as_its_centre_is_uncertain() -> None:
+    news = News(Hand())
+    assert words.body(news) is None
+    news.hear("payload", Held(0.05, (0.001, 0.0, 0.02)))
+    news.hear_estimate(estimate(0.05, 0.045, 0.055, final="true"))
+    ball = words.body(news)
+    assert ball is not None and not ball.known and "ball of water" in words.hand(news)
+    volume_m3 = 4.0 / 3.0 * np.pi * np.prod(ball.half_m)
+    assert volume_m3 == pytest.approx(0.05 / 1000.0)
+    intervals = "[[-0.002, 0.004], [-0.001, 0.001], [0.015, 0.025]]"
+    more = {"payload_com": "[0.001, 0.0, 0.02]", "payload_com.ci95": intervals}
+    news.hear_estimate(estimate(0.05, 0.045, 0.055, final="true", **more))
+    found = words.body(news)
+    assert found is not None and found.known
+    assert found.half_m == pytest.approx([0.003, 0.001, 0.005])
+    assert "1.0 ±3.0, 0.0 ±1.0, 20.0 ±5.0 mm" in words.hand(news)
+    news.hear("holding", False)
+    assert words.body(news) is None
+    news.hear("holding", True)
+    news.hear("payload", Held(float("nan"), (0.0, 0.0, 0.0)))
+    assert words.body(news) is None, "it was withdrawn"
+
+
+@pytest.mark.parametrize("name", ["so101", "panda", "ur5e", "vx300s", "pendulum"])
+def test_what_a_urdf_does_not_say_is_written_where_it_belongs(name: str, tmp_path: Path) -> None:
+    output = tmp_path / f"{name}.yaml"
+    new = new_robot_file(str(REPOSITORY / "urdf" / f"{name}.urdf"), output)
+    limits = [f"joints.{joint}.motor.current_limit_A" for joint in new.unlimited]
+    keys = [*new.to_state, *limits]
+    assert {key.rpartition(".")[2] for key in keys} <= set(LACKS)
+    values = {key: 0.5 + 0.001 * number for number, key in enumerate(keys)}
+    output.write_text(filled(new.text, values))
+    robot = load_robot(output)
+    for key, value in values.items():
+        joint = key.split(".")[1]
+        if key.endswith("nominal_torque_constant_N_m_per_A"):
+            assert robot.drive_trains[joint].nominal_torque_constant == value
+        elif key.endswith("current_limit_A"):
+            assert robot.motors[joint].current_limit_A == value
+        else:
+            assert robot.drive_trains[joint].transmission == value
+    # and once more, since something was typed wrongly
+    output.write_text(filled(output.read_text(), {keys[0]: 0.7}))
+    assert load_robot(output).drive_trains[keys[0].split(".")[1]].nominal_torque_constant == 0.7
+
+
+def test_curves_of_runs_are_those_of_the_page(tmp_path: Path) -> None:
+    page = tmp_path / "report.html"
+    run = '<figure><svg class="chart" role="img" aria-label="Run 1: x"><svg></svg></svg></figure>'
+    page.write_text(f'<p>a</p>{run}<figure><svg class="chart" aria-label="Misfit"></svg></figure>')
+    assert figures_of(page) == run.removeprefix("<figure>").removesuffix("</figure>")
+    assert figures_of(None) == ""
