@@ -13,11 +13,23 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
+
+import pytest
 
 from support.domains import free_domain
-from support.live import UP_S
+from support.live import UP_S, Client, running
+from support.tab import Browser, Tab, browser
 from support.waiting import wait_for
 
+MOVES = 0.02  # rad/s; slower is encoders
+LONG_S = 600.0
+"""What the arm does takes its time; who says nothing for so long hangs."""
+PATIENT: dict[str, dict[str, Any]] = {
+    "driver": {"reply_timeout": 0.1, "command_timeout": 0.5},
+    "excitation": {"stale_after": 4.0},
+}
+"""Nobody here may take a late message for silence."""
 _OPEN = re.compile(r"open (http\S+)")
 
 
@@ -83,3 +95,54 @@ def pendant(folder: Path, *words: str, **environment: str) -> Iterator[Shown]:
         if process.poll() is None:
             process.terminate()
             process.wait()
+
+
+class Desk:
+    """A pendant with its virtual arm, a browser, and somebody else who listens to the arm."""
+
+    def __init__(self, shown: Shown, window: Browser, client: Client) -> None:
+        self.shown = shown
+        self.window = window
+        self.client = client
+
+    def wizard(self, title: str) -> Tab:
+        """A tab with what is asked for a task."""
+        tab = self.window.tab()
+        # not by the page of the arm, which draws in three dimensions on a processor here
+        tab.open(self.shown.address.replace("/?", "/wizard?"))
+        tab.click(title)
+        tab.until(
+            f"[...document.querySelectorAll('[role=heading]')].some((it) => it.innerText === '{title}')"
+        )
+        return tab
+
+    def begin(self, tab: Tab) -> None:
+        """Confirm, and wait until the arm is pushed."""
+        tab.click("Start")
+        tab.shows("Keep away from it")
+        tab.click("Begin")
+        assert wait_for(lambda: self.client.excitation.get("phase") == "probe", LONG_S)
+
+    def is_held(self) -> bool:
+        """Whether nothing is under way, and the arm stands under torque."""
+        states = self.client.states
+        states.clear()
+        assert wait_for(lambda: len(states) > 2)
+        still = max(map(abs, states[-1].velocity)) < MOVES
+        idle = self.client.excitation["busy"] == "false"
+        held = all(status.message == "held" for status in self.client.diagnostics[-1].status)
+        return still and idle and held
+
+
+@contextmanager
+def at_the_arm(folder: Path, **identifier: Any) -> Iterator[Desk]:
+    """A pendant with a virtual arm and a browser; parameters of the identifier."""
+    domain = free_domain()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("ROS_DOMAIN_ID", domain)
+        with (
+            running(folder, identifier=identifier, **PATIENT) as (_, arm),
+            pendant(folder, ROS_DOMAIN_ID=domain) as shown,
+            browser(folder) as window,
+        ):
+            yield Desk(shown, window, arm)

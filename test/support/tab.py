@@ -32,6 +32,7 @@ PICK = """(() => {
   return it.contains(document.elementFromPoint(...at)) ? at : null;
 })()"""
 """Where one would click; null while nothing is there, or something lies over it."""
+MOST_TABS = 80
 DRAG = """(() => {
   const data = new DataTransfer(), from = document.querySelector(%s), to = document.querySelector(%s);
   const say = (it, kind) => it.dispatchEvent(new DragEvent(kind, {dataTransfer: data, bubbles: true, cancelable: true}));
@@ -137,6 +138,17 @@ class Tab:
         written = {"text": text} if text else {}
         self.call("Input.dispatchKeyEvent", type="keyDown", **which, **written)
         self.call("Input.dispatchKeyEvent", type="keyUp", **which)
+
+    def focus(self, words: str) -> None:
+        """By the Tab key alone, to what begins with these words or is called so."""
+        names = (
+            "[document.activeElement.getAttribute('aria-label'), document.activeElement.innerText]"
+        )
+        for _ in range(MOST_TABS):
+            self.press("Tab")
+            if any(str(name or "").strip().startswith(words) for name in self.does(names)):
+                return
+        raise AssertionError(f"no key leads to {words!r}: {self.text[-1500:]}")
 
     def look(self, width: int, height: int = 900, dark: bool = False) -> None:
         """Be so wide [px], dark or light."""

@@ -27,7 +27,6 @@ NO_ROS = "import sys\nsys.modules['rclpy'] = None\n"
 TABLE = b"time_s,joint1.pos,joint2.pos\n" + b"".join(
     b"%.2f,0.%d,0.2\n" % (0.01 * row, row) for row in range(300)
 )
-MOST_TABS = 80
 NUMBERS = "[...document.querySelectorAll('main input[type=number]')].map((it) => it.ariaLabel)"
 
 
@@ -61,18 +60,8 @@ def shown(home: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Show
         os.chdir(began)
 
 
-def focus(tab: Tab, words: str) -> None:
-    """By the Tab key alone, to what begins with these words or is called so."""
-    names = "[document.activeElement.getAttribute('aria-label'), document.activeElement.innerText]"
-    for _ in range(MOST_TABS):
-        tab.press("Tab")
-        if any(str(name or "").strip().startswith(words) for name in tab.does(names)):
-            return
-    raise AssertionError(f"no key leads to {words!r}: {tab.text[-1500:]}")
-
-
 def enter(tab: Tab, words: str) -> None:
-    focus(tab, words)
+    tab.focus(words)
     tab.press("Enter", "Enter", "\r")
 
 
@@ -100,7 +89,7 @@ def test_keys_alone_lead_to_an_answer(
     enter(tab, "What is in it")
     tab.until("document.querySelectorAll('.looked canvas').length == 3")
     tab.shows("usable; alone")
-    focus(tab, "In the hand")
+    tab.focus("In the hand")
     for _ in range(2):
         tab.press("ArrowDown")
     tab.until("document.querySelector('[aria-label=\"Mass [g]\"]').offsetHeight > 0")
@@ -129,9 +118,9 @@ def test_history_compares(shown: Shown, window: Browser, tmp_path: Path) -> None
     enter(tab, "History")
     tab.shows("2026-01-02 03:04")
     tab.shows("49.9 g")
-    focus(tab, "One")
+    tab.focus("One")
     tab.press("End")
-    focus(tab, "The other")
+    tab.focus("The other")
     tab.press("End")
     tab.shows("0.0 g apart; their intervals overlap")
     tab.does("document.activeElement.focus()")

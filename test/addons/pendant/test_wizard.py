@@ -12,81 +12,27 @@ pytest.importorskip("rclpy")
 pytest.importorskip("mujoco")
 
 from support.browser import BROWSER
-from support.live import Client, running, wait_for
-from support.pendant import Shown, pendant
+from support.live import wait_for
+from support.pendant import Desk, at_the_arm
 from support.pushes import AWAY, one_push
-from support.tab import Browser, Tab, browser
-
-from proprio_ros.nodes.domains import free_domain
+from support.tab import Tab
 
 pytestmark = [
     pytest.mark.long,
     pytest.mark.skipif(BROWSER is None, reason="needs Chromium"),
 ]
-MOVES = 0.02  # rad/s; slower is encoders
-LONG_S = 600.0
 PUSH_A = 0.01
 PUSH_S = 20.0
 """Longer than anybody may be silent, and less than the base's friction, so that no limit ends it before."""
-PATIENT: dict[str, dict[str, Any]] = {
-    "driver": {"reply_timeout": 0.1, "command_timeout": 0.5},
-    "excitation": {"stale_after": 4.0},
-}
-"""Nobody here may take a late message for silence."""
-
-
-class Desk:
-    """A pendant with its virtual arm, a browser, and somebody else who listens to the arm."""
-
-    def __init__(self, shown: Shown, window: Browser, client: Client) -> None:
-        self.shown = shown
-        self.window = window
-        self.client = client
-
-    def wizard(self, title: str) -> Tab:
-        """A tab with what is asked for a task."""
-        tab = self.window.tab()
-        # not by the page of the arm, which draws in three dimensions on a processor here
-        tab.open(self.shown.address.replace("/?", "/wizard?"))
-        tab.click(title)
-        tab.until(
-            f"[...document.querySelectorAll('[role=heading]')].some((it) => it.innerText === '{title}')"
-        )
-        return tab
-
-    def begin(self, tab: Tab) -> None:
-        """Confirm, and wait until the arm is pushed."""
-        tab.click("Start")
-        tab.shows("Keep away from it")
-        tab.click("Begin")
-        assert wait_for(lambda: self.client.excitation.get("phase") == "probe", LONG_S)
-
-    def is_held(self) -> bool:
-        """Whether nothing is under way, and the arm stands under torque."""
-        states = self.client.states
-        states.clear()
-        assert wait_for(lambda: len(states) > 2)
-        still = max(map(abs, states[-1].velocity)) < MOVES
-        idle = self.client.excitation["busy"] == "false"
-        held = all(status.message == "held" for status in self.client.diagnostics[-1].status)
-        return still and idle and held
 
 
 @pytest.fixture(scope="module")
 def desk(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Desk]:
     folder = tmp_path_factory.mktemp("desk")
-    domain = free_domain()
     push = folder / "push.yaml"
     push.write_text(one_push(PUSH_A, PUSH_S, AWAY, "joint1"))
-    identifier = {"payload_sequence": str(push)}
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("ROS_DOMAIN_ID", domain)
-        with (
-            running(folder, identifier=identifier, **PATIENT) as (_, arm),
-            pendant(folder, ROS_DOMAIN_ID=domain) as shown,
-            browser(folder) as window,
-        ):
-            yield Desk(shown, window, arm)
+    with at_the_arm(folder, payload_sequence=str(push)) as desk:
+        yield desk
 
 
 def closes(tab: Tab) -> None:
