@@ -9,7 +9,7 @@ import subprocess
 import sys
 import urllib.error
 import urllib.request
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -30,6 +30,7 @@ PATIENT: dict[str, dict[str, Any]] = {
     "excitation": {"stale_after": 4.0},
 }
 """Nobody here may take a late message for silence."""
+CLI = (sys.executable, "-m", "proprio_ros.cli")
 _OPEN = re.compile(r"open (http\S+)")
 
 
@@ -75,12 +76,24 @@ class Shown:
 
 
 @contextmanager
-def pendant(folder: Path, *words: str, **environment: str) -> Iterator[Shown]:
-    """One that shows its pages, in a domain where nobody else is."""
+def pendant(
+    folder: Path,
+    *words: str,
+    program: Sequence[str] = (),
+    **environment: str,
+) -> Iterator[Shown]:
+    """One that shows its pages, in a domain where nobody else is.
+
+    Args:
+        folder: For what it says.
+        words: Options of the command.
+        program: What is run; empty: this Python's `proprio`.
+        environment: Of the process, beside that of the test.
+    """
     said = folder / "pendant.txt"
     with said.open("wb") as stderr:
         process = subprocess.Popen(
-            [sys.executable, "-m", "proprio_ros.cli", "pendant", "--port", "0", *words],
+            [*(program or CLI), "pendant", "--port", "0", *words],
             stdin=subprocess.DEVNULL,
             stdout=stderr,
             stderr=stderr,

@@ -175,13 +175,13 @@ class Browser:
     def __init__(self, port: int) -> None:
         self._port = port
 
-    def tab(self) -> Tab:
+    def tab(self, kind: type[Tab] = Tab) -> Tab:
         """A new one."""
         asked = urllib.request.Request(
             f"http://127.0.0.1:{self._port}/json/new?about:blank", method="PUT"
         )
         with urllib.request.urlopen(asked) as answer:
-            return Tab(json.load(answer)["webSocketDebuggerUrl"])
+            return kind(json.load(answer)["webSocketDebuggerUrl"])
 
 
 @contextmanager

@@ -119,21 +119,17 @@ class _Forms:
                 await self._draw(sequences, robot)
             ui.label("Keep away from it. STOP, or the space bar, ends it; the arm is then held.")
             with ui.row():
-                ui.button(
-                    "Begin",
-                    on_click=lambda: dialog.submit(True),
-                ).props("no-caps size=lg")
-                ui.button(
-                    "Not yet",
-                    on_click=lambda: dialog.submit(False),
-                ).props("flat no-caps")
+                begin = ui.button("Begin", on_click=lambda: dialog.submit(True))
+                begin.props("no-caps size=lg")
+                wait = ui.button("Not yet", on_click=lambda: dialog.submit(False))
+                wait.props("flat no-caps")
         if await dialog:
             await self._begin(task, settings)
         dialog.delete()
 
     async def _draw(self, sequences: list[str], robot: Robot) -> None:
         """The arm as it stands, and where its hand will go."""
-        pose = self._pendant.news.positions
+        pose = dict(self._pendant.news.positions)
         try:
             between, pushed = await asyncio.to_thread(ways_of, sequences, robot, pose)
         except ProprioError as error:
@@ -173,26 +169,12 @@ class _Forms:
         before: dict[str, object] = {}
         if self._until is not None and self._until.value:
             before = await self._pendant.parameters(*task.parameters) or {}
-            stated |= dict.fromkeys(
-                task.parameters,
-                task.until,
-            )
+            stated |= dict.fromkeys(task.parameters, task.until)
         try:
-            why = (
-                await self._pendant.state(
-                    page,
-                    stated,
-                )
-                if stated
-                else ""
-            )
+            why = await self._pendant.state(page, stated) if stated else ""
             if why:
                 raise ConfigurationError(why)
-            call = self._pendant.begin(
-                page,
-                task.service,
-                settings,
-            )
+            call = self._pendant.begin(page, task.service, settings)
         except ConfigurationError as error:
             refuse(str(error))
             return
