@@ -20,7 +20,7 @@ from rclpy.parameter import Parameter, parameter_value_to_python
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Bool, Float64MultiArray
+from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
 
 from proprio_ros.addons.pendant.news import Held, News, Said
@@ -157,7 +157,6 @@ class Listener:
             (DiagnosticArray, f"{identifier}/estimate", self._on_estimate, LATCHED),
             (Bool, f"{identifier}/holding", lambda said: hear("holding", bool(said.data)), LATCHED),
             (InertiaStamped, f"{identifier}/payload", self._on_payload, LATCHED),
-            (Float64MultiArray, f"{self._base}/motor_temperatures", self._on_motors, NEWEST),
         ):
             subscription = self._node.create_subscription(
                 kind,
@@ -217,12 +216,6 @@ class Listener:
     def _on_payload(self, message: InertiaStamped) -> None:
         centre = message.inertia.com
         self._news.hear("payload", Held(message.inertia.m, (centre.x, centre.y, centre.z)))
-
-    def _on_motors(self, message: Float64MultiArray) -> None:
-        self._news.hear(
-            "temperatures",
-            messages.by_joint(message, ()),
-        )
 
 
 def _take_newest(subscription: Any, take: Callable[[Any], None]) -> None:

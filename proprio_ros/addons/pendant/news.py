@@ -107,17 +107,11 @@ class News:
 
     def age_s(self, about: str) -> float:
         """How long ago that was; infinite: never."""
-        return self.now() - self._heard_s.get(
-            about,
-            -math.inf,
-        )
+        return self.now() - self._heard_s.get(about, -math.inf)
 
     def is_old(self, about: str) -> bool:
         """Whether it was never heard, or too long ago."""
-        return self.age_s(about) > OLD_S.get(
-            about,
-            math.inf,
-        )
+        return self.age_s(about) > OLD_S.get(about, math.inf)
 
     def hear_states(self, names: list[str], positions: list[float], efforts: list[float]) -> None:
         """Joint states.
@@ -129,13 +123,7 @@ class News:
         """
         known = zip(names, positions, strict=False)
         self.positions.update((name, at) for name, at in known if math.isfinite(at))
-        self.efforts.update(
-            zip(
-                names,
-                efforts,
-                strict=False,
-            )
-        )
+        self.efforts.update(zip(names, efforts, strict=False))
         self.hear("states")
         if self.pushing:
             if not self._pushed:
@@ -155,10 +143,7 @@ class News:
         self._heard_s["estimate"] -= late_s
         if said.values.get("running") == "true":
             self.hear("running")
-        point = _point(
-            self._heard_s["estimate"],
-            said.values,
-        )
+        point = _point(self._heard_s["estimate"], said.values)
         if point is None:
             return
         self.curve.append(point)
@@ -188,18 +173,8 @@ class News:
             newest = self.curve[-1]
             if newest.at_s == self._heard_s["estimate"]:
                 if not found:
-                    found = [
-                        replace(
-                            newest,
-                            at_s=now_s - CURVE_S,
-                        )
-                    ]
-                found.append(
-                    replace(
-                        newest,
-                        at_s=now_s,
-                    )
-                )
+                    found = [replace(newest, at_s=now_s - CURVE_S)]
+                found.append(replace(newest, at_s=now_s))
         return found
 
     @property
@@ -211,10 +186,7 @@ class News:
             if self.said(about).level > 0 and not self.is_old(about)
         ]
         found += [each for each in self.diagnostics if each.level > 0]
-        ordered = sorted(
-            found,
-            key=lambda said: -said.level,
-        )
+        ordered = sorted(found, key=lambda said: -said.level)
         # who wants all of a refusal reads its answer in the wizard
         return list(dict.fromkeys(said.message.partition("; ")[0] for said in ordered))
 

@@ -157,32 +157,17 @@ def settings_of(task: Task, texts: Mapping[str, str]) -> list[str]:
     """
     found = []
     for fact in task.facts:
-        text = texts.get(
-            fact.key,
-            "",
-        ).strip()
+        text = texts.get(fact.key, "").strip()
         if not text:
             continue
         try:
-            values = [
-                1e-3 * float(word)
-                for word in text.replace(
-                    ",",
-                    " ",
-                ).split()
-            ]
+            values = [1e-3 * float(word) for word in text.replace(",", " ").split()]
         except ValueError:
             values = []
         if len(values) != fact.count:
             numbers = "three numbers" if fact.count > 1 else "one number"
             raise ConfigurationError(f"{fact.label}: write {numbers} in mm, such as 30 20 50")
-        rounded = [
-            round(
-                value,
-                9,
-            )
-            for value in values
-        ]
+        rounded = [round(value, 9) for value in values]
         found.append(f"{fact.key}={json.dumps(rounded if fact.count > 1 else rounded[0])}")
     return found
 
@@ -194,12 +179,7 @@ def what_moves(names: Sequence[str], robot: Robot | None) -> str:
         return f"The arm makes {', then '.join(names)}."
     for name in names:
         try:
-            said.append(
-                _moves(
-                    load_sequence(name, robot),
-                    robot,
-                )
-            )
+            said.append(_moves(load_sequence(name, robot), robot))
         except ProprioError as error:
             said.append(f"{name} cannot be made: {error}.")
     return " ".join(said)
@@ -211,10 +191,7 @@ def _moves(plan: ExcitationSequence, robot: Robot) -> str:
         return f"{plan.name}: pushes are chosen one by one, within the arm's limits."
     travels: dict[str, float] = {}
     for run in plan.runs:
-        travels[run.joint] = max(
-            run.max_travel,
-            travels.get(run.joint, 0.0),
-        )
+        travels[run.joint] = max(run.max_travel, travels.get(run.joint, 0.0))
     ways = []
     for joint, travel in travels.items():
         slides = robot.model.joint(joint).kind == "prismatic"

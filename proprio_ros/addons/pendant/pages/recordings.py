@@ -143,10 +143,11 @@ class _Chosen:
         for name, row in list(self._rows.items()):
             if desk.chosen.get(name) is not row.each or row.is_old:
                 self._rows.pop(name).place.delete()
-        for name, each in desk.chosen.items():
+        for place, (name, each) in enumerate(desk.chosen.items()):
             if name not in self._rows:
                 with self._place:
                     self._rows[name] = _Row(desk, name, each)
+                self._rows[name].place.move(target_index=place)
             self._rows[name].read()
 
 

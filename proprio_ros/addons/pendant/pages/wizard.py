@@ -40,19 +40,12 @@ def show(pendant: Pendant) -> None:
                 pendant,
                 {task.service: task.title for task in found},
             )
-    forms = _Forms(
-        pendant,
-        asked,
-        ui.context.client,
-    )
+    forms = _Forms(pendant, asked, ui.context.client)
     with choices:
         arm = WhichArm(pendant, asked)
         ui.button("Which arm", on_click=arm.show).props("flat no-caps")
         for task in found:
-            button = ui.button(
-                task.title,
-                on_click=partial(forms.show, task),
-            )
+            button = ui.button(task.title, on_click=partial(forms.show, task))
             button.props("flat no-caps")
     forms.show(found[0])
 
@@ -84,17 +77,11 @@ class _Forms:
                 self._texts[fact.key] = field
             if task.service == CALIBRATE:
                 where = "from scales; put it in when the arm asks for it; empty: none"
-                self._reference = ui.number(
-                    "Weighed reference [g]",
-                    min=0.0,
-                    max=5000.0,
-                ).props(f'hint="{where}" outlined')
+                self._reference = ui.number("Weighed reference [g]", min=0.0, max=5000.0)
+                self._reference.props(f'hint="{where}" outlined')
             if task.until:
                 self._until = ui.switch("Go on until it is known well enough")
-            start = ui.button(
-                "Start",
-                on_click=partial(self._ask, task),
-            ).props("no-caps size=lg")
+            start = ui.button("Start", on_click=partial(self._ask, task)).props("no-caps size=lg")
             start.set_enabled(not self._pendant.read_only)
 
     async def _ask(self, task: Task) -> None:
