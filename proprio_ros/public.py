@@ -102,10 +102,7 @@ MODULES: dict[str, tuple[str, ...]] = {
         "figures",
         "html",
     ),
-    "robot": (
-        "",
-        "kinematics",
-    ),
+    "robot": ("",),
     "sim": (
         "energies",
         "joint",

@@ -22,8 +22,6 @@ GROUND = "#eceff3"
 SLIM = 0.03
 """Radius of a bar, of the arm's reach."""
 HELD = "#3f8f5f"
-LEAST_M = 0.002
-"""What is smaller is not seen."""
 GREY = [0.35, 0.39, 0.45]
 ORANGE = [0.8, 0.4, 0.05]
 POINT_M = 0.006
@@ -112,7 +110,7 @@ class Drawing:
         self._held.visible(body is not None)
         if body is not None:
             self._held.move(*body.centre_m)
-            self._held.scale(*[max(half, LEAST_M) for half in body.half_m])
+            self._held.scale(*body.half_m)
 
     def way(self, places: Places, colour: list[float]) -> None:
         """Draw where the hand will go."""

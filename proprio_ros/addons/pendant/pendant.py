@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable, Mapping, Sequence
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -53,7 +54,6 @@ class Pendant:
         self.desk = Desk(Places(Path.cwd(), Path(DATA).expanduser() / namespace), tell)
         self.no_ros = ""
         self._listener: Listener | None = None
-        self._robots: dict[str, Robot | None] = {}
 
     def open(self) -> None:
         """Begin to listen, where there is ROS."""
@@ -142,13 +142,7 @@ class Pendant:
         found = await self.parameters("robot")
         if found is None:
             return None
-        name = str(found["robot"])
-        if name not in self._robots:
-            self._robots[name] = await asyncio.to_thread(
-                _robot,
-                name,
-            )
-        return self._robots[name]
+        return await asyncio.to_thread(_robot, str(found["robot"]))
 
     async def put_back(self, values: Mapping[str, Any]) -> None:
         """State parameters as they were before a call that is over."""
@@ -176,6 +170,7 @@ class Pendant:
         )
 
 
+@cache
 def _robot(name: str) -> Robot | None:
     """An arm by its name or file; None: it cannot be read here."""
     try:

@@ -14,7 +14,6 @@ from proprio_ros.excitation.ways import Ways
 from proprio_ros.probes import all_probes
 from proprio_ros.probes.base import HasBaseline
 from proprio_ros.robot import Robot
-from proprio_ros.robot.kinematics import hand_path, zero_pose
 
 POINTS = 24
 """Of one way."""
@@ -227,14 +226,13 @@ def ways_of(names: Sequence[str], robot: Robot, pose: Mapping[str, float]) -> tu
     finder = Ways(robot)
     between: Places = []
     pushed: Places = []
-    here = {**zero_pose(robot), **pose}
+    here = {**dict.fromkeys(robot.model.independent_joints, 0.0), **pose}
     for name in names:
         sequence = load_sequence(name, robot).begun_at(here)
         for goal in (*(run.start for run in sequence.runs), sequence.home):
             way = finder.find(here, {**here, **goal}, sequence, "the next pose")
-            for at_s in np.linspace(0.0, way.duration_s, POINTS).tolist():
-                place = robot.model.frame_transform(robot.payload_frame, way.at(at_s))
-                between.append(place[:3, 3].tolist())
+            times_s = np.linspace(0.0, way.duration_s, POINTS).tolist()
+            between += [_place(robot, {**here, **way.at(at_s)}) for at_s in times_s]
             here |= goal
         for run in sequence.runs:
             here |= run.start
@@ -247,4 +245,11 @@ def _pushed(robot: Robot, begin: Mapping[str, float], run: ExcitationRun) -> Pla
     joint = robot.model.joint(run.joint)
     low = max(begin[run.joint] - run.max_travel, joint.lower)
     high = min(begin[run.joint] + run.max_travel, joint.upper)
-    return hand_path(robot, run.joint, {**begin, run.joint: low}, high - low, POINTS).tolist()
+    positions = np.linspace(low, high, POINTS).tolist()
+    return [_place(robot, {**begin, run.joint: at}) for at in positions]
+
+
+def _place(robot: Robot, pose: Mapping[str, float]) -> list[float]:
+    """Of the hand [m]."""
+    place = robot.model.frame_transform(robot.payload_frame, pose)
+    return [float(each) for each in place[:3, 3]]

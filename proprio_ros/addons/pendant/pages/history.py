@@ -17,7 +17,6 @@ from proprio_ros.addons.pendant.pendant import Pendant
 from proprio_ros.addons.pendant.words import table
 from proprio_ros.quantity import shown, spec_for
 
-MOST_CALIBRATIONS = 40
 NOTHING = "&ndash;"
 COMPARED = ("verdict", "probe", "robot", "runs", "version")
 """Of two answers, as they stand in the file."""
@@ -42,7 +41,7 @@ async def _fill(desk: Desk, found: Sequence[Kept]) -> None:
     if len(answers) > 1:
         with card("Compare"):
             _compare(answers)
-    calibrated = [each for each in found if each.calibration][:MOST_CALIBRATIONS]
+    calibrated = [each for each in found if each.calibration]
     if len(calibrated) > 1:
         await _drift(calibrated[::-1])
 
