@@ -127,7 +127,13 @@ class Desk:
             return
         output = self.places.robots / f"{path.stem}.yaml"
         output.parent.mkdir(parents=True, exist_ok=True)
-        words = ["robot", "new", self.shown(path), "--output", str(output)]
+        words = [
+            "robot",
+            "new",
+            self.shown(path),
+            "--output",
+            str(output),
+        ]
         self.jobs.begin(Job("Robot file", [Step(words)]))
 
     def robots(self) -> dict[str, str]:
@@ -228,7 +234,14 @@ class Desk:
         """Answer all recordings below a folder. Raises `ConfigurationError`: It cannot begin."""
         source = self.shown(self.places.recording(folder))
         out = self._folder("batch")
-        words = ["batch", source, "--out", self.shown(out), "--probe", self.asked.probe]
+        words = [
+            "batch",
+            source,
+            "--out",
+            self.shown(out),
+            "--probe",
+            self.asked.probe,
+        ]
         step = Step([*words, *self.asked.arm(), *self.asked.words()], out / BATCH)
         self._begin(Job(f"Batch over {folder.name}", [step]), out)
 

@@ -60,7 +60,14 @@ def _each(folder: Path) -> Iterator[Kept]:
         bag = _there(path / "bag")
         report = _there(path / REPORT) or _there(path / BATCH)
         if estimate or calibration or bag or report:
-            yield Kept(path, _when(path), estimate, calibration, bag, report)
+            yield Kept(
+                path,
+                _when(path),
+                estimate,
+                calibration,
+                bag,
+                report,
+            )
 
 
 def _there(path: Path) -> Path | None:

@@ -46,7 +46,13 @@ def drawn(recording: Recording) -> list[dict[str, Any]]:
     joints = recording.joints
     begin_ns = int(joints.times_ns[0])
     plots = [
-        _plot("position [rad or m]", joints.times_ns, begin_ns, joints.names, joints.position),
+        _plot(
+            "position [rad or m]",
+            joints.times_ns,
+            begin_ns,
+            joints.names,
+            joints.position,
+        ),
     ]
     measured = {
         "effort [N m or N]": joints.effort,
@@ -55,14 +61,26 @@ def drawn(recording: Recording) -> list[dict[str, Any]]:
     if joints.effort is None and joints.current is None:
         measured["effort, as published"] = joints.reported_effort
     plots += [
-        _plot(title, joints.times_ns, begin_ns, joints.names, values)
+        _plot(
+            title,
+            joints.times_ns,
+            begin_ns,
+            joints.names,
+            values,
+        )
         for title, values in measured.items()
         if values is not None
     ]
     inputs = recording.inputs
     if inputs is not None and not inputs.measured:
         title = f"input current [A], {inputs.source}"
-        steps = _plot(title, inputs.times_ns, begin_ns, inputs.names, inputs.current_A)
+        steps = _plot(
+            title,
+            inputs.times_ns,
+            begin_ns,
+            inputs.names,
+            inputs.current_A,
+        )
         plots.append({**steps, "step": "end"})
     return plots
 

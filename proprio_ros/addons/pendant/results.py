@@ -144,7 +144,20 @@ def _runs(runs: Sequence[Mapping[str, Any]]) -> str:
                 judged,
             ]
         )
-    return table(["run of", "mA", "s", "travel", ""], rows) if rows else ""
+    return (
+        table(
+            [
+                "run of",
+                "mA",
+                "s",
+                "travel",
+                "",
+            ],
+            rows,
+        )
+        if rows
+        else ""
+    )
 
 
 def _batch(found: Mapping[str, Any]) -> str:
@@ -154,19 +167,52 @@ def _batch(found: Mapping[str, Any]) -> str:
         for name, count in found.get("verdicts", {}).items()
     )
     head = f'<p class="state">{found.get("episodes", 0)} recordings: {counts}</p>'
-    names = ["episode", "unit", "value", "std", "low", "high", "verdict", "reason_codes"]
+    names = [
+        "episode",
+        "unit",
+        "value",
+        "std",
+        "low",
+        "high",
+        "verdict",
+        "reason_codes",
+    ]
     rows = arrow().parquet.read_table(Path(found["folder"]) / "rows", columns=names).to_pylist()
     cells = []
     for row in rows[:MOST_ROWS]:
         spec = spec_for(row["unit"], row["std"])
         known = row["value"] is not None
         value = shown(row["unit"], row["value"], spec=spec) if known else "&ndash;"
-        interval = shown(row["unit"], row["low"], row["high"], spec=spec) if known else "&ndash;"
+        interval = (
+            shown(
+                row["unit"],
+                row["low"],
+                row["high"],
+                spec=spec,
+            )
+            if known
+            else "&ndash;"
+        )
         codes = ", ".join(row["reason_codes"] or ())
         cells.append(
-            [escape(row["episode"]), value, interval, verdict(row["verdict"]), escape(codes)]
+            [
+                escape(row["episode"]),
+                value,
+                interval,
+                verdict(row["verdict"]),
+                escape(codes),
+            ]
         )
-    return head + table(["recording", "answer", "95 % interval", "verdict", "reasons"], cells)
+    return head + table(
+        [
+            "recording",
+            "answer",
+            "95 % interval",
+            "verdict",
+            "reasons",
+        ],
+        cells,
+    )
 
 
 def folder_of(message: str) -> Path | None:

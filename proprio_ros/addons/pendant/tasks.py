@@ -48,7 +48,7 @@ FACTS = {
     "calibrate_container": (
         Fact("container.inner_size", "Inner size x, y, z", "of the box, by a ruler; a cylinder: set it by `proprio call --set`"),
         Fact("container.centre", "Centre of the box x, y, z", "from the point between the finger tips"),
-        Fact("sphere.radius", "Radius of the ball", "half of what a calliper says", 1),
+        Fact("sphere.radius", "Radius of the ball", "half of what a calliper says", 1,),
     ),
     "calibrate_softness": (Fact("block.size", "Size of the block x, y, z", "y is the way the fingers press",),),
 }  # fmt: skip
@@ -230,7 +230,12 @@ def ways_of(names: Sequence[str], robot: Robot, pose: Mapping[str, float]) -> tu
     for name in names:
         sequence = load_sequence(name, robot).begun_at(here)
         for goal in (*(run.start for run in sequence.runs), sequence.home):
-            way = finder.find(here, {**here, **goal}, sequence, "the next pose")
+            way = finder.find(
+                here,
+                {**here, **goal},
+                sequence,
+                "the next pose",
+            )
             times_s = np.linspace(0.0, way.duration_s, POINTS).tolist()
             between += [_place(robot, {**here, **way.at(at_s)}) for at_s in times_s]
             here |= goal

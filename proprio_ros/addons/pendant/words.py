@@ -204,11 +204,25 @@ def joints(news: News) -> str:
         measured = f"{effort:.2f}" if math.isfinite(effort) else NOTHING
         warmth = values.get("temperature [C]", NOTHING).removesuffix(".0")
         motor = escape(servo.message) if servo else NOTHING
-        rows.append([escape(name), f"{at:.3f}", measured, escape(warmth), motor])
+        rows.append(
+            [
+                escape(name),
+                f"{at:.3f}",
+                measured,
+                escape(warmth),
+                motor,
+            ]
+        )
     if not rows:
         return '<p class="small">No joint states are coming.</p>'
     kind = "old" if news.is_old("states") else "now"
-    titles = ["joint", "rad, m", "N m, N", "°C", "motor"]
+    titles = [
+        "joint",
+        "rad, m",
+        "N m, N",
+        "°C",
+        "motor",
+    ]
     return f'<div class="{kind}">{table(titles, rows)}</div>'
 
 

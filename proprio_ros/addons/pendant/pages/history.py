@@ -18,7 +18,13 @@ from proprio_ros.addons.pendant.words import table
 from proprio_ros.quantity import shown, spec_for
 
 NOTHING = "&ndash;"
-COMPARED = ("verdict", "probe", "robot", "runs", "version")
+COMPARED = (
+    "verdict",
+    "probe",
+    "robot",
+    "runs",
+    "version",
+)
 """Of two answers, as they stand in the file."""
 
 
@@ -67,7 +73,17 @@ def _table(desk: Desk, found: Sequence[Kept]) -> str:
                 link,
             ]
         )
-    return table(["when", "what", "answer", "95 % interval", "", ""], rows)
+    return table(
+        [
+            "when",
+            "what",
+            "answer",
+            "95 % interval",
+            "",
+            "",
+        ],
+        rows,
+    )
 
 
 def _kind_of(each: Kept) -> str:

@@ -229,10 +229,26 @@ async def _ask(pendant: Pendant, place: ui.element) -> None:
                 (
                     "Unit of effort",
                     "effort_unit",
-                    {"": "by the driver", **{u: u for u in ("N.m", "A", "mA", "raw")}},
+                    {
+                        "": "by the driver",
+                        **{
+                            u: u
+                            for u in (
+                                "N.m",
+                                "A",
+                                "mA",
+                                "raw",
+                            )
+                        },
+                    },
                 ),
             ):
-                select(label, options, getattr(asked, key), partial(_state, desk, key))
+                select(
+                    label,
+                    options,
+                    getattr(asked, key),
+                    partial(_state, desk, key),
+                )
         facts = ui.input("Facts about the object", value=asked.facts)
         facts.props(
             'outlined dense hint="KEY=VALUE, such as payload.shape=sphere payload.com=[0,0,0.01]"'
@@ -280,7 +296,12 @@ class _Outcome:
         self._cancel.set_visibility(runs)
         title = job.service if job is not None else ""
         doing = "is being cancelled" if job is not None and job.cancelled else "at work"
-        changed = self._progress.read(job, title, doing, runs)
+        changed = self._progress.read(
+            job,
+            title,
+            doing,
+            runs,
+        )
         if job is not None and changed and not runs:
             with self._progress.answer:
                 self._show(job)

@@ -70,7 +70,12 @@ class WhichArm:
             now = f"The nodes work with {found.name}." if found else "No node says which arm it is."
             ui.label(now).classes("hand-words")
             ready = {"": "choose ...", **self._pendant.desk.robots()}
-            select("Another that is ready", ready, "", self._choose)
+            select(
+                "Another that is ready",
+                ready,
+                "",
+                self._choose,
+            )
             if not self._pendant.read_only:
                 drop("Drop a URDF, or choose a file", f"{DESCRIPTION}: of any arm", (DESCRIPTION,))
             self._form = ui.element("div").classes("steps").props("role=status")

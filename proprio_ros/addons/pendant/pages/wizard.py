@@ -118,7 +118,12 @@ class _Forms:
         """The arm as it stands, and where its hand will go."""
         pose = dict(self._pendant.news.positions)
         try:
-            between, pushed = await asyncio.to_thread(ways_of, sequences, robot, pose)
+            between, pushed = await asyncio.to_thread(
+                ways_of,
+                sequences,
+                robot,
+                pose,
+            )
         except ProprioError as error:
             ui.label(f"Its ways cannot be drawn: {error}")
             return
@@ -185,7 +190,12 @@ class _Progress:
     async def _read(self) -> None:
         call = self._pendant.calls.latest
         if call is None:
-            self._progress.read(None, "", "", False)
+            self._progress.read(
+                None,
+                "",
+                "",
+                False,
+            )
             return
         runs = call.progress
         number, of = runs or (0, 0)
@@ -193,7 +203,12 @@ class _Progress:
         if call.cancelled:
             doing = "stopping; the arm is held"
         title = self._titles.get(call.service, call.service)
-        changed = self._progress.read(call, title, doing, call.under_way)
+        changed = self._progress.read(
+            call,
+            title,
+            doing,
+            call.under_way,
+        )
         self._progress.bar.set_value((number - 0.5) / of if of else 0.0)
         self._draw()
         if changed:
