@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -26,6 +27,21 @@ UNTIL = {
     "calibrate_softness": "block_until",
 }
 """Sequences whose pushes are chosen until the answer is narrow enough, by the service that makes them."""
+LACKS = {
+    "nominal_torque_constant_N_m_per_A": (
+        "torque constant [N m/A]",
+        "by which the driver makes an effort of a current, or the data sheet's; 1: efforts are torques",
+    ),
+    "transmission_m_per_rad": (
+        "way per angle of the motor [m/rad]",
+        "how far it slides in one turn of the motor, by 6.283",
+    ),
+    "current_limit_A": (
+        "largest current [A]",
+        "of the motor's data sheet; only pushes need it",
+    ),
+}
+"""What no URDF says, with its unit, and where to find it."""
 
 
 @dataclass(frozen=True)
@@ -258,3 +274,17 @@ def _place(robot: Robot, pose: Mapping[str, float]) -> list[float]:
     """Of the hand [m]."""
     place = robot.model.frame_transform(robot.payload_frame, pose)
     return [float(each) for each in place[:3, 3]]
+
+
+def filled(text: str, values: dict[str, float]) -> str:
+    """A robot file, as ``proprio robot new`` writes it, with values by key, such as ``joints.NAME.motor.current_limit_A``."""
+    for key, value in values.items():
+        joint, name = parts_of(key)
+        place = re.compile(rf"(\n  {re.escape(joint)}:.*?\n +{name}: )\S+", re.S)
+        text = place.sub(rf"\g<1>{value:g}", text, count=1)
+    return text
+
+
+def parts_of(key: str) -> list[str]:
+    """Of a key that a robot file lacks: its joint, and what is lacking there."""
+    return key.removeprefix("joints.").replace(".motor.", ".").rsplit(".", 1)

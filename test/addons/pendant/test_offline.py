@@ -190,7 +190,7 @@ def test_a_urdf_is_asked_for_what_it_lacks(
     tab.open(shown.address)
     tab.click("Wizard")
     tab.click("Which arm")
-    tab.shows("No node says which arm it is.")
+    tab.shows("an arm that no node names")
     choose_file(tab, other)
     tab.shows("other.urdf")
     choose_file(tab, urdf)

@@ -13,9 +13,8 @@ from proprio_ros.addons.pendant import words
 from proprio_ros.addons.pendant.calls import Call
 from proprio_ros.addons.pendant.lease import SILENCE_S, Lease
 from proprio_ros.addons.pendant.news import CURVE_S, Held, News, Said, curve_of
-from proprio_ros.addons.pendant.pages.which_arm import LACKS, filled
 from proprio_ros.addons.pendant.results import answer, figures_of, folder_of, report_of
-from proprio_ros.addons.pendant.tasks import settings_of, tasks, ways_of, what_moves
+from proprio_ros.addons.pendant.tasks import LACKS, filled, settings_of, tasks, ways_of, what_moves
 from proprio_ros.errors import ConfigurationError
 from proprio_ros.nodes.interface import services
 from proprio_ros.robot import load_robot

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -13,38 +12,9 @@ from proprio_ros.addons.pendant.calls import Job
 from proprio_ros.addons.pendant.parts import READS_S, attempt, drop, heading, select
 from proprio_ros.addons.pendant.pendant import Pendant
 from proprio_ros.addons.pendant.places import DESCRIPTION
+from proprio_ros.addons.pendant.tasks import LACKS, filled, parts_of
 from proprio_ros.inputs.resources import write_in_one_step
 from proprio_ros.robot import load_robot
-
-LACKS = {
-    "nominal_torque_constant_N_m_per_A": (
-        "torque constant [N m/A]",
-        "by which the driver makes an effort of a current, or the data sheet's; 1: efforts are torques",
-    ),
-    "transmission_m_per_rad": (
-        "way per angle of the motor [m/rad]",
-        "how far it slides in one turn of the motor, by 6.283",
-    ),
-    "current_limit_A": (
-        "largest current [A]",
-        "of the motor's data sheet; only pushes need it",
-    ),
-}
-"""What no URDF says, with its unit, and where to find it."""
-
-
-def filled(text: str, values: dict[str, float]) -> str:
-    """A robot file, as ``proprio robot new`` writes it, with values by key, such as ``joints.NAME.motor.current_limit_A``."""
-    for key, value in values.items():
-        joint, name = _parts(key)
-        place = re.compile(rf"(\n  {re.escape(joint)}:.*?\n +{name}: )\S+", re.S)
-        text = place.sub(rf"\g<1>{value:g}", text, count=1)
-    return text
-
-
-def _parts(key: str) -> list[str]:
-    """Of a key that a robot file lacks: its joint, and what is lacking there."""
-    return key.removeprefix("joints.").replace(".motor.", ".").rsplit(".", 1)
 
 
 class WhichArm:
@@ -112,7 +82,7 @@ class WhichArm:
         ui.label(guess)
         self._asked = {}
         for key in (*new["to_state"], *limits):
-            joint, name = _parts(key)
+            joint, name = parts_of(key)
             label, where = LACKS[name]
             self._asked[key] = ui.number(f"{joint}: {label}").props(f'outlined hint="{where}"')
         write = partial(attempt, partial(self._write, path))
