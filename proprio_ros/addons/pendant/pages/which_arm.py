@@ -37,8 +37,8 @@ class WhichArm:
         self._place.clear()
         with self._place:
             heading("Which arm", 1)
-            now = f"The nodes work with {found.name}." if found else "No node says which arm it is."
-            ui.label(now).classes("hand-words")
+            name = found.name if found else "an arm that no node names"
+            ui.label(f"The nodes work with {name}.").classes("hand-words")
             ready = {"": "choose ...", **self._pendant.desk.robots()}
             select(
                 "Another that is ready",
@@ -76,10 +76,8 @@ class WhichArm:
         limits = [f"joints.{joint}.motor.current_limit_A" for joint in new["no_effort_limit"]]
         ui.label(f"{new['robot']}: what its URDF does not say").classes("hand-words")
         path = Path(new["output"])
-        guess = (
-            f"Objects are held in {new['payload_frame']}, a guess; another: payload_frame in {path}"
-        )
-        ui.label(guess)
+        frame = f"Objects are held in {new['payload_frame']}"
+        ui.label(f"{frame}: a guess; another: payload_frame in {path}")
         self._asked = {}
         for key in (*new["to_state"], *limits):
             joint, name = parts_of(key)
