@@ -10,9 +10,12 @@ import os
 import re
 import shutil
 import sys
-from importlib.metadata import Distribution, distributions
 from pathlib import Path
+from typing import TYPE_CHECKING
 from urllib.parse import unquote, urlparse
+
+if TYPE_CHECKING:
+    from importlib.metadata import Distribution
 
 __version__ = "0.9.0"
 
@@ -46,6 +49,8 @@ def to_install(extra: str, of: Distribution | None = None) -> str:
 
 def _running() -> Distribution | None:
     """What was installed of this copy; None where it runs from its source without having been."""
+    from importlib.metadata import distributions
+
     every = list(distributions(name="proprio_ros"))
     # what a build leaves beside the source is no installation
     beside = (SOURCE / "setup.py").exists()

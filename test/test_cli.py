@@ -177,6 +177,15 @@ def test_the_papers_profile_speaks_of_no_interval_of_its_own(
     assert not any("interval" in reason for reason in result["reasons"])
 
 
+def test_a_weighing_loads_nothing_that_it_does_not_use() -> None:
+    code = (
+        "import sys; from proprio_ros.cli import main; main(['replay', sys.argv[1], '--probe', 'payload', '--json']); "
+        "unused = {'scipy', 'matplotlib', 'mujoco', 'pyarrow', 'dynamixel_sdk', 'proprio_ros.nodes.graph', "
+        "'proprio_ros.report', 'proprio_ros.sim.descent'} & set(sys.modules); assert not unused, unused"
+    )
+    subprocess.run([sys.executable, "-c", code, BAG], cwd=ROOT, check=True, capture_output=True)
+
+
 def test_the_installed_command() -> None:
     """As a process: results on stdout, the rest on stderr, a reader that goes away is no error."""
     command = [

@@ -12,13 +12,13 @@ import numpy as np
 
 from proprio_ros.errors import ConfigurationError
 from proprio_ros.identification import solvers
+from proprio_ros.identification.chance import beyond_chance
 from proprio_ros.identification.estimate import (
     Scan,
     SolverSummary,
     StartPath,
     UnknownRow,
 )
-from proprio_ros.identification.gates import chi2_limit
 from proprio_ros.identification.posterior import Posterior
 from proprio_ros.identification.prepared_runs import (
     PreparedRun,
@@ -30,7 +30,6 @@ from proprio_ros.identification.robot_unknowns import (
     DRIVE_TERMS,
     load_unknowns,
 )
-from proprio_ros.identification.together import can_go_together, descend, rules
 from proprio_ros.identification.unknowns import (
     Role,
     Unknown,
@@ -157,7 +156,7 @@ class FitResult:
 
     @property
     def explains(self) -> bool:
-        return self.chi2 <= chi2_limit(self.dof)
+        return not beyond_chance(self.chi2, self.dof)
 
 
 def known_exactly(robot: Robot, runs: Sequence[PreparedRun]) -> bool:
@@ -231,7 +230,9 @@ def solve_load(
     if options.solver == "lm" or start is not None:
         windows = problem.simulator.windows if start is None else None
         iterations, tolerance = (10, 0.03) if rough else (30, 1e-4)
-        if options.device != "cpu" and windows is not None and can_go_together(problem):
+        if windows is not None and _on_a_device(problem, options.device):
+            from proprio_ros.identification.together import descend, rules
+
             solution = descend(
                 problem, starts, options.device, rules(iterations, tolerance, not rough)
             )
@@ -249,6 +250,15 @@ def solve_load(
     else:
         solution = solvers.cma(problem, starts)
     return FitResult.of(problem, solution)
+
+
+def _on_a_device(problem: Problem, device: str) -> bool:
+    """Whether a graphics card solves it, beside others; kernels of that are loaded where there is one."""
+    if device == "cpu":
+        return False
+    from proprio_ros.identification.together import can_go_together
+
+    return can_go_together(problem)
 
 
 def fit_both(

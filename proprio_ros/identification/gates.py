@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import chdtri, ndtr
 
+from proprio_ros.identification.chance import chi2_limit
 from proprio_ros.identification.position_steps import (
     held_jump,
     jumped,
@@ -32,8 +32,6 @@ LITTLE_TRAVEL = 0.3
 MOVING_START = 0.1  # rad/s: a run that starts faster has not started from rest
 LOCKED_SPAN = 0.03
 """rad: what a locked joint that yields does to the driven one is reckoned with; beyond this the reckoning itself is a guess."""
-MISFIT_SIGMAS = 3.0902
-"""A fit worse than chance makes one in a thousand (so many standard deviations of a normal) contradicts the model."""
 MISFIT_LIMIT = 9.0
 """Reduced chi-square (rms three times the encoder's) up to which an explained-enough fit is accepted with a wider interval."""
 CONTRADICTION = 2.5
@@ -97,11 +95,6 @@ def contradiction(
             f"{name} contradicts the other runs: {said}; {question}",
         )
     )
-
-
-def chi2_limit(dof: float, sigmas: float = MISFIT_SIGMAS) -> float:
-    """Chi-square that chance exceeds as rarely as a normal exceeds ``sigmas`` standard deviations on one side."""
-    return float(chdtri(dof, ndtr(-sigmas)))
 
 
 def unusable(run: PreparedRun) -> str:

@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from proprio_ros.identification.chance import beyond_chance
 from proprio_ros.identification.estimate import (
     Scan,
     Useful,
@@ -30,7 +31,6 @@ from proprio_ros.identification.fit import (
 )
 from proprio_ros.identification.gates import (
     MOVING_START,
-    chi2_limit,
 )
 from proprio_ros.identification.posterior import (
     Posterior,
@@ -321,7 +321,7 @@ class Assessment:
         found.sort(reverse=True)
         # what no zero explains bends zeros, too
         left = self.opened.chi2 - found[0].pull ** 2 if found else 0.0
-        return [] if left > chi2_limit(self.opened.dof) else found
+        return [] if beyond_chance(left, self.opened.dof) else found
 
     @property
     def seeming_zero(self) -> tuple[str, float]:
@@ -366,7 +366,7 @@ class Assessment:
             1.0,
         )
         distance2 = float(off @ precision @ off)
-        if distance2 <= chi2_limit(learnt, FAR):
+        if not beyond_chance(distance2, learnt, FAR):
             return []
         away = f"{np.sqrt(distance2):.1f} standard deviations from it"
         directions = f"{learnt:.0f} direction{'s' * (round(learnt) != 1)}"

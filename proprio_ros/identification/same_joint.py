@@ -17,12 +17,12 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import chi2, norm
 
 from proprio_ros.calibration_files.own_terms import (
     UNITS,
     OwnTerms,
 )
+from proprio_ros.identification.chance import chi2_tail, normal_density
 from proprio_ros.identification.judge import (
     Refusal,
     not_identifiable,
@@ -85,7 +85,7 @@ class Comparison:
     @property
     def probability(self) -> float:
         """Of a larger distance, where both are of one joint."""
-        return float(chi2.sf(self.square, len(self.now)))
+        return chi2_tail(self.square, len(self.now))
 
     @property
     def evidence(self) -> float:
@@ -125,8 +125,8 @@ class OtherJoint:
         """
         known = np.log([load for load in loads_kg if load > 0.0] or [max(mass_kg, 1e-9)])
         off = float(np.log(max(mass_kg, 1e-9)) - known.mean())
-        same = norm.pdf(off, scale=LIKE_KNOWN) * comparison.evidence
-        other = norm.pdf(off, scale=np.hypot(LIKE_KNOWN, OTHER_LOADS))
+        same = normal_density(off, LIKE_KNOWN) * comparison.evidence
+        other = normal_density(off, float(np.hypot(LIKE_KNOWN, OTHER_LOADS)))
         amiss = ASKED_AMISS * other
         return cls(comparison, float(amiss / (amiss + (1.0 - ASKED_AMISS) * same)))
 

@@ -32,7 +32,6 @@ from proprio_ros.recordings.for_robot import Read
 from proprio_ros.recordings.motions import Motion
 from proprio_ros.recordings.text import TextRecording, is_text_recording
 from proprio_ros.records import Run
-from proprio_ros.report import write_page
 from proprio_ros.robot import Robot, is_description
 from proprio_ros.schema import calibration_used
 from proprio_ros.threads import one_blas_thread
@@ -296,5 +295,7 @@ def write_report(
     Raises:
         ConfigurationError: The page cannot be written.
     """
+    from proprio_ros.report import write_page
+
     own = probe_named(estimate.probe).sections(estimate)
     write_page(estimate, path, own, command=command, sources=sources, force=force)

@@ -16,6 +16,7 @@ import numpy as np
 
 from proprio_ros.errors import RecordingError
 from proprio_ros.recordings.columns import JointColumns
+from proprio_ros.recordings.medians import running_median
 from proprio_ros.records import BoolArray, FloatArray, TimeArray
 
 LEAST_STEP_NS = 100_000_000
@@ -473,8 +474,6 @@ class _Beside:
     @classmethod
     def of(cls, order_ns: TimeArray, other_ns: TimeArray) -> _Beside | None:
         """None where no two neighbours are a step apart."""
-        from scipy.ndimage import median_filter  # half of a second to import
-
         order = np.argsort(order_ns, kind="stable")
         ordered = order_ns[order]
         other = other_ns[order]
@@ -482,7 +481,7 @@ class _Beside:
         ahead -= ahead[0]
         if not np.any(np.abs(np.diff(ahead)) > LEAST_STEP_NS):
             return None
-        level = median_filter(ahead, NEIGHBOURS, mode="nearest")
+        level = running_median(ahead, NEIGHBOURS)
         return cls(ordered, other, ahead, level)
 
     @property

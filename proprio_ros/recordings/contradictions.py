@@ -12,12 +12,12 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import median_filter
 
 from proprio_ros.errors import RecordingError
 from proprio_ros.quantity import EFFORTS, Quantity
 from proprio_ros.recordings.columns import JointColumns
 from proprio_ros.recordings.effort import CURRENT_PER_COUNT_A, EFFORT_UNITS, Effort, ampere
+from proprio_ros.recordings.medians import running_median
 from proprio_ros.recordings.noted import Noted
 from proprio_ros.recordings.topics import OUR_DRIVER
 from proprio_ros.records import (
@@ -288,7 +288,7 @@ class Readings:
     def stretches(self) -> list[Stretch]:
         """Where the joint is driven one way for long enough; none where it reads nothing but zero."""
         driven = np.abs(self.given_A) > ZERO_CURRENT_A
-        way = np.sign(median_filter(self.given_A, SIGN_READINGS, mode="nearest")) * driven
+        way = np.sign(running_median(self.given_A, SIGN_READINGS)) * driven
         ends = np.flatnonzero(np.diff(way)) + 1
         found = []
         for rows in np.split(np.arange(len(way)), ends):

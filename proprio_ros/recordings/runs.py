@@ -9,9 +9,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import median_filter
 
 from proprio_ros.errors import RecordingError
+from proprio_ros.recordings.medians import running_median
 from proprio_ros.recordings.repeats import repeated as repeated_rows
 from proprio_ros.records import (
     INSTANT_S,
@@ -378,9 +378,7 @@ def _refuse_controlled(
     """Raises: UnderController: A current that alternates from the first sample on has no rest level, but moves a joint."""
     for joint in joints:
         if joint in inputs.names and joint in record.names:
-            smooth = median_filter(
-                inputs.current_A[:, inputs.column(joint)], MIN_SAMPLES, mode="nearest"
-            )
+            smooth = running_median(inputs.current_A[:, inputs.column(joint)], MIN_SAMPLES)
             loud = float(np.mean(np.abs(smooth - np.median(smooth)) > MEASURED_CURRENT_FLOOR_A))
             if loud > 0.5 and np.ptp(record.position[:, record.column(joint)]) > MOVING_SPAN:
                 raise _under_controller(name, joint)
@@ -395,7 +393,7 @@ def _is_excitation(record: JointRecord, inputs: InputRecord, interval: _Interval
     if len(before) and np.ptp(before) > MOVING_SPAN:
         return False
     column = inputs.column(interval.joint)
-    smooth = median_filter(inputs.current_A[:, column], MIN_SAMPLES, mode="nearest")
+    smooth = running_median(inputs.current_A[:, column], MIN_SAMPLES)
     # the first and the last sample may lie on the edge
     current = inputs.current_A[interval.first + 1 : interval.last, column]
     if len(current) < MIN_SAMPLES:

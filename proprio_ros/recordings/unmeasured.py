@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from proprio_ros.recordings.medians import running_median
 from proprio_ros.records import BoolArray, FloatArray
 
 DENORMAL = 1e-30
@@ -116,14 +117,12 @@ def _turning(position: FloatArray, period_s: float) -> BoolArray:
 
 def _outliers(effort: FloatArray) -> BoolArray:
     """Samples far from those around them, shape (T,)."""
-    from scipy.ndimage import median_filter
-
     found = np.zeros(len(effort), dtype=bool)
     known = np.flatnonzero(np.isfinite(effort))
     if len(known) < NEIGHBOURS:
         return found
     values = effort[known]
-    away = np.abs(values - median_filter(values, NEIGHBOURS, mode="mirror"))
+    away = np.abs(values - running_median(values, NEIGHBOURS, "reflect"))
     low, high = np.percentile(values, [5.0, 95.0])
     usual = 1.4826 * float(np.median(away))
     steps = np.abs(np.diff(values))

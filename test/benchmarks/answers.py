@@ -25,7 +25,8 @@ for library in ("OPENBLAS", "OMP", "MKL"):
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 FOLDERS = (REPOSITORY / "bags", REPOSITORY.parent / "shared" / "recordings")
-NOT_COMPARED = {"timing_s", "elapsed_s", "version", "schema", "output"}
+# the fingerprint is of a file that names the date and a folder of this run
+NOT_COMPARED = {"timing_s", "elapsed_s", "version", "schema", "output", "fingerprint"}
 SENTENCES = {"reasons", "reason", "notes", "assumptions"}
 
 

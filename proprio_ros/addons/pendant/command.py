@@ -12,7 +12,6 @@ from proprio_ros.cli.parser import Parser
 from proprio_ros.cli.terminal import EXIT_OK, say
 from proprio_ros.errors import ConfigurationError
 from proprio_ros.nodes.arguments import checked_namespace
-from proprio_ros.nodes.graph import end_with_parent
 from proprio_ros.version import to_install
 
 PORT = 8690
@@ -106,6 +105,8 @@ def pendant(options: argparse.Namespace, given: Sequence[str]) -> int:
 
 def _virtual(namespace: str, held: str | None) -> subprocess.Popen[bytes]:
     """A virtual arm with its nodes, which end with this process."""
+    from proprio_ros.nodes.graph import end_with_parent
+
     words = [
         sys.executable,
         "-m",

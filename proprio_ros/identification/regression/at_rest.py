@@ -25,7 +25,7 @@ import numpy as np
 
 from proprio_ros.calibration_files.motions import MotionCalibration
 from proprio_ros.errors import RecordingError, TooLittleMotion
-from proprio_ros.identification.gates import chi2_limit
+from proprio_ros.identification.chance import beyond_chance
 from proprio_ros.identification.regression.arm_terms import ArmTerms
 from proprio_ros.identification.regression.error_budget import CALIBRATION, CONSTANTS
 from proprio_ros.identification.regression.motion_equations import Arm, Problem, equations
@@ -537,7 +537,7 @@ class StandingEstimator(OnlineEstimator):
             return new
         self._next_stance_s = time_s + STANCE_S
         fit = self._fit_stance(time_s, position)
-        explained = fit.chi2 <= chi2_limit(fit.freedom) and fit.mass_kg > -Z95 * fit.std_kg
+        explained = fit.mass_kg > -Z95 * fit.std_kg and not beyond_chance(fit.chi2, fit.freedom)
         self._stance = fit if explained else None
         self._lost = not (works or explained)
         return new or explained or self._lost

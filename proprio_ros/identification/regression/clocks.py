@@ -16,10 +16,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.stats import norm
 
 from proprio_ros.calibration_files.motions import MotionCalibration
 from proprio_ros.errors import RecordingError
+from proprio_ros.identification.chance import normal_density
 from proprio_ros.identification.estimate import Verdict
 from proprio_ros.identification.judge import Refusal
 from proprio_ros.identification.reasons import Reason
@@ -272,8 +272,8 @@ def _open_std(
         misfit: Standard deviation of what is found of a clock that keeps time.
         spread: The same of one that does not.
     """
-    keeps = (1.0 - OFF_BEFORE) * norm.pdf(off, scale=np.hypot(std, misfit))
-    runs_off = OFF_BEFORE * norm.pdf(off, scale=np.hypot(std, spread))
+    keeps = (1.0 - OFF_BEFORE) * normal_density(off, float(np.hypot(std, misfit)))
+    runs_off = OFF_BEFORE * normal_density(off, float(np.hypot(std, spread)))
     likely = runs_off / max(keeps + runs_off, 1e-300)
     # of one that runs off: a Gaussian prior beside what was found
     known = 1.0 / (1.0 / max(std, 1e-9) ** 2 + 1.0 / spread**2)

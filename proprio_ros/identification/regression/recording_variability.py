@@ -19,8 +19,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import brentq
-from scipy.special import stdtr
 
 from proprio_ros.calibration_files.motions import SPREAD_FACTORS
 from proprio_ros.records import FloatArray
@@ -383,6 +381,9 @@ def half_width(
         rest: Variance of everything else [kg^2].
         freedom: Variance [kg^2] and degrees of freedom of the parts of it that a few recordings say.
     """
+    from scipy.optimize import brentq
+    from scipy.special import stdtr
+
     total = rest + np.square(SPREADS * mass)
     effective = effective_freedom(total, freedom)
     stds = np.sqrt(total)

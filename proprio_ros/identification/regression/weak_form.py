@@ -19,10 +19,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_matrix
 
 from proprio_ros.errors import RecordingError
 from proprio_ros.recordings.motions import LONGEST_GAP_S, Motion
@@ -36,6 +36,9 @@ from proprio_ros.robot.regressor import (
     kinematics,
     momentum_along,
 )
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_matrix
 
 TOGETHER = 64  # Windows whose samples are looked at together.
 
@@ -112,6 +115,8 @@ class Windows:
         return self._matrix(self.slope)
 
     def _matrix(self, weight: FloatArray) -> csr_matrix:
+        from scipy.sparse import csr_matrix
+
         width = len(weight)
         count = len(self.starts)
         samples = self.starts[:, None] + np.arange(width)

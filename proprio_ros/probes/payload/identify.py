@@ -23,6 +23,7 @@ import numpy as np
 
 from proprio_ros.errors import RecordingError
 from proprio_ros.identification import gates, swings
+from proprio_ros.identification.chance import chi2_limit
 from proprio_ros.identification.conclude import Conclusion, stated_in
 from proprio_ros.identification.estimate import (
     USEFUL_FLOOR_KG,
@@ -591,7 +592,7 @@ class Weighed(Conclusion):
             )
         if not fit.explains and not self.swings:
             posterior = Posterior(fit.problem, fit.values)
-            jump = driven_jump(posterior, fit.chi2, gates.chi2_limit(fit.dof))
+            jump = driven_jump(posterior, fit.chi2, chi2_limit(fit.dof))
             if jump:
                 yield self.misfit_of(jumped(jump))
             moving = self._moving_starts()

@@ -10,8 +10,8 @@ import numpy as np
 
 from proprio_ros.calibration_files.motions import MotionCalibration
 from proprio_ros.errors import TooLittleMotion
+from proprio_ros.identification.chance import beyond_chance
 from proprio_ros.identification.estimate import Estimate, Fit, useful_in_motion
-from proprio_ros.identification.gates import chi2_limit
 from proprio_ros.identification.judge import Refusal, judge, positive, rejected, wide
 from proprio_ros.identification.regression.at_rest import RestFit, fit_at_rest
 from proprio_ros.identification.regression.motion_equations import Arm
@@ -100,7 +100,7 @@ def _refusals(
     worse = 0.0 if moving is None else float(np.nanmax(moving.residual / moving.empty_residual))
     other, other_std = fit.beside or (fit.mass_kg, 0.0)
     apart = abs(other - fit.mass_kg) > APART_SIGMAS * np.hypot(other_std, fit.std_kg)
-    if fit.chi2 > chi2_limit(max(fit.freedom, 1)) or worse > MUCH_WORSE or apart:
+    if beyond_chance(fit.chi2, max(fit.freedom, 1)) or worse > MUCH_WORSE or apart:
         yield rejected(
             "misfit",
             "the model does not explain the recording",
