@@ -18,7 +18,6 @@ from proprio_ros.recordings.datasets import arrow
 
 _KEPT = re.compile(r"\b(recording|calibration): (\S[^;]*)")
 _RUNS = re.compile(r'<figure>(<svg class="chart" role="img" aria-label="Run .+?)</figure>', re.S)
-MOST_RUNS = 24
 MOST_ROWS = 500
 DONE = "done"
 """Of what has no verdict."""
@@ -233,7 +232,7 @@ def report_of(call: Call | None) -> Path | None:
 def figures_of(page: Path | None) -> str:
     """What was measured and simulated in each run, as the page of an answer draws it."""
     text = page.read_text(encoding="utf-8") if page is not None else ""
-    return "".join(_RUNS.findall(text)[:MOST_RUNS])
+    return "".join(_RUNS.findall(text))
 
 
 def answer(call: Call) -> str:
