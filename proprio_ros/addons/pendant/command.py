@@ -32,11 +32,7 @@ def add_parser(add: Callable[..., Parser]) -> None:
     it.add_argument(
         "--virtual", action="store_true", help="start a virtual arm, as `proprio live --virtual`"
     )
-    it.add_argument(
-        "--object",
-        metavar="OBJECT",
-        help="in the virtual hand, as for `live`",
-    )
+    it.add_argument("--object", metavar="OBJECT", help="in the virtual hand, as for `live`")
     it.add_argument(
         "--read-only",
         action="store_true",

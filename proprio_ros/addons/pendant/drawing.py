@@ -74,18 +74,15 @@ class Drawing:
         ends = ends_of(model)
         reach = float(sum(np.linalg.norm(joint.origin[:3, 3]) for joint in model.joints)) or 1.0
         self.scene = _scene(reach)
+        # the library goes on drawing what is no longer there
+        self.scene.on("init", js_handler=f"() => endWhenGone({self.scene.id})")
         self._groups = {}
         with self.scene:
             for link in model.links:
                 with self.scene.group() as group:
                     self._groups[link.name] = group
                     for at, turns in ends[link.name]:
-                        _bar(
-                            self.scene,
-                            at,
-                            SLIM * reach,
-                            turns,
-                        )
+                        _bar(self.scene, at, SLIM * reach, turns)
                     if link.name == hand:
                         self.scene.sphere(1.6 * SLIM * reach).material(HAND)
                         self._held = self.scene.sphere(1.0).material(HELD, opacity=0.6)
@@ -138,12 +135,7 @@ def _bar(scene: Scene, at: np.ndarray, radius_m: float, turns: bool) -> None:
     """From the link's own origin to a point in its frame."""
     length = float(np.linalg.norm(at))
     if length > radius_m:
-        bar = scene.cylinder(
-            radius_m,
-            radius_m,
-            length,
-            16,
-        ).material(BAR)
+        bar = scene.cylinder(radius_m, radius_m, length, 16).material(BAR)
         bar.move(*(0.5 * at).tolist()).rotate_R(along(at).tolist())
     if turns:
         scene.sphere(1.5 * radius_m).move(*at.tolist()).material(JOINT)

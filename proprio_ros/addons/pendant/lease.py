@@ -20,12 +20,7 @@ class Lease:
     @property
     def holder(self) -> str:
         """The page that holds it; empty: none does."""
-        return "" if self.silent_s > SILENCE_S else self._holder
-
-    @property
-    def silent_s(self) -> float:
-        """For how long the page that took it has not been heard of."""
-        return self._now() - self._heard_s if self._holder else 0.0
+        return "" if self._now() - self._heard_s > SILENCE_S else self._holder
 
     def take(self, page: str) -> bool:
         """Whether the page holds it now."""

@@ -75,11 +75,7 @@ class Listener:
         self._gets = self._client(GetParameters, f"{name}/get_parameters")
         self._sets = self._client(SetParameters, f"{name}/set_parameters")
         self._ended = threading.Event()
-        self._thread = threading.Thread(
-            target=self._spin,
-            name="listener",
-            daemon=True,
-        )
+        self._thread = threading.Thread(target=self._spin, name="listener", daemon=True)
         self._thread.start()
 
     def close(self) -> None:
@@ -158,12 +154,7 @@ class Listener:
             (Bool, f"{identifier}/holding", lambda said: hear("holding", bool(said.data)), LATCHED),
             (InertiaStamped, f"{identifier}/payload", self._on_payload, LATCHED),
         ):
-            subscription = self._node.create_subscription(
-                kind,
-                topic,
-                take,
-                quality,
-            )
+            subscription = self._node.create_subscription(kind, topic, take, quality)
             self._takes.append((subscription, take))
 
     def _spin(self) -> None:

@@ -12,6 +12,17 @@ for (const kind of ["keydown", "keyup"]) {
     if (kind === "keydown" && !event.repeat) stop();
   }, true);
 }
+// the library draws a scene on after it has gone, as often as it is told, and keeps its place on the graphics card
+const endWhenGone = (id) => {
+  const scene = getElement(id);
+  const timer = setInterval(() => {
+    if (!scene.renderer || scene.$el.isConnected) return;
+    clearInterval(timer);
+    scene.$.props.fps = 1e-6;
+    scene.renderer.dispose();
+    scene.renderer.forceContextLoss();
+  }, 1000);
+};
 // a file goes as it is, to a folder of its own; what is refused is said in one sentence
 async function sendRecording(file, most) {
   if (file.size > most) return `${file.name}: larger than ${most / 2 ** 20} MiB; copy it into the folder instead`;

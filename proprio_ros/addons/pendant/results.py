@@ -241,10 +241,10 @@ def answer(call: Call) -> str:
     message = str(found.get("message", ""))
     estimate = found.get("estimate") or {}
     badge = verdict(str(estimate.get("verdict") or (DONE if found.get("success") else "not done")))
-    otherwise = _KEPT.sub("", message).strip("; ")
     said = [str(estimate[key]) for key in estimate if key.startswith("reason.")]
     # by their codes, where the file of the answer is on this computer
     folder = folder_of(message)
     codes = estimate_in(folder).get("reason_codes", []) if folder is not None else []
     why = reason_list(said, codes if len(codes) == len(said) else [])
+    otherwise = "" if said else _KEPT.sub("", message).strip("; ")
     return shown_answer(badge, *answer_of(estimate), otherwise) + why

@@ -83,11 +83,7 @@ def _bound(host: str, port: int) -> socket.socket:
 
 def _site(pendant: Pendant) -> FastAPI:
     """The application: pages, and STOP as a request of its own that needs no page to be well."""
-    site = FastAPI(
-        docs_url=None,
-        redoc_url=None,
-        openapi_url=None,
-    )
+    site = FastAPI(docs_url=None, redoc_url=None, openapi_url=None)
 
     @site.post("/stop")
     async def stop() -> PlainTextResponse:

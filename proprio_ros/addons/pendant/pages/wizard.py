@@ -99,6 +99,7 @@ class _Forms:
             return
         robot = await self._pendant.robot()
         with ui.dialog() as dialog, ui.card().classes("confirm"):
+            dialog.on("hide", dialog.delete)
             ui.label("The arm will move" if task.parameters else task.title).classes("title")
             ui.label(task.hand).classes("hand-words")
             ui.label(task.moves or what_moves(sequences, robot))
@@ -112,7 +113,6 @@ class _Forms:
                 wait.props("flat no-caps")
         if await dialog:
             await self._begin(task, settings)
-        dialog.delete()
 
     async def _draw(self, sequences: list[str], robot: Robot) -> None:
         """The arm as it stands, and where its hand will go."""
