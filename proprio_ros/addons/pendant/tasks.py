@@ -64,7 +64,7 @@ FACTS = {
     "calibrate_container": (
         Fact("container.inner_size", "Inner size x, y, z", "of the box, by a ruler; a cylinder: set it by `proprio call --set`"),
         Fact("container.centre", "Centre of the box x, y, z", "from the point between the finger tips"),
-        Fact("sphere.radius", "Radius of the ball", "half of what a calliper says", 1,,),
+        Fact("sphere.radius", "Radius of the ball", "half of what a calliper says", 1),
     ),
     "calibrate_softness": (Fact("block.size", "Size of the block x, y, z", "y is the way the fingers press",),),
 }  # fmt: skip
@@ -149,7 +149,14 @@ def tasks() -> list[Task]:
             )
         )
     still = "Nothing is moved by this: whoever moves the arm, moves it."
-    found.append(Task("weigh", "Weigh the last seconds", "The object is in the hand.", moves=still,))
+    found.append(
+        Task(
+            "weigh",
+            "Weigh the last seconds",
+            "The object is in the hand.",
+            moves=still,
+        )
+    )
     return found
 
 
