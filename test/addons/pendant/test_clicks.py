@@ -28,6 +28,14 @@ NUMBER = "document.querySelector('.progress .number')?.innerText"
 RUNS = "document.querySelectorAll('.figures > svg').length"
 NAMELESS = """[...document.querySelectorAll('button, a, select, input, canvas, [role=img]')].filter((it) => it.checkVisibility()
   && !(it.getAttribute('aria-label') || it.innerText.trim() || it.closest('[aria-label], label'))).map((it) => it.outerHTML)"""
+COUNTS = """window.draws = 0;
+  const drawn = WebGL2RenderingContext.prototype.drawElements;
+  WebGL2RenderingContext.prototype.drawElements = function (...all) { window.draws += 1; return drawn.apply(this, all); };
+  true"""
+RESTS = """await (async (before) => {
+  await new Promise((done) => setTimeout(done, 1000));
+  return before === window.draws;
+})(window.draws)"""
 GRAMS = 50.0
 """What the virtual hand holds."""
 
@@ -159,3 +167,19 @@ def test_everything_has_a_name(tab: Tab) -> None:
         tab.until(f"document.title.startsWith('{page.title}')")
         tab.until("!!document.querySelector('main')?.innerText.trim()")
         assert tab.does(NAMELESS) == [], page.title
+
+
+def test_an_arm_that_nobody_looks_at_is_not_drawn(desk: Desk) -> None:
+    """Pages open and close all day: the library would go on drawing each scene that was ever shown."""
+    tab = desk.window.tab()
+    tab.open(desk.shown.address)
+    tab.does(COUNTS)
+    tab.until("!!document.querySelector('.scene canvas') && window.draws > 0")
+    tab.click("History")
+    tab.until("!document.querySelector('.scene')")
+    tab.until(RESTS)
+    tab.click("Arm")
+    tab.until("!!document.querySelector('.scene canvas')")
+    tab.until(f"!({RESTS})")
+    assert not tab.said
+    tab.close()
