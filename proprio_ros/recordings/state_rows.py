@@ -1,8 +1,8 @@
 """From messages of joint states to one row a message and one column a joint, in steps; every repair is noted.
 
 Joints may be spread over several messages (arm and gripper from two publishers). The rows are then the messages that have the
-driven joint; what others report in between is interpolated, since a locked joint hardly moves, while an interpolated sample of a
-driven joint would pretend to be a measurement.
+driven joint, or most of the arm where none is driven by itself; what others report in between is interpolated, since a locked joint
+hardly moves, while an interpolated sample of a driven joint would pretend to be a measurement.
 """
 
 from __future__ import annotations
@@ -176,11 +176,24 @@ def _needed(rows: StateRows, given: BoolArray) -> BoolArray:
     """The joints that a row must have, by whether each row has it, shape (T, J): those driven, and those mostly beside them."""
     needed = np.isin(rows.names, rows.driven)
     if not needed.any():
-        needed[int(np.argmax(given.sum(axis=0)))] = True
+        needed[_of_most_of_the_arm(rows, given)] = True
     base = given[:, needed].all(axis=1)
     if base.any():
         needed |= given[base].mean(axis=0) > MOSTLY
     return np.asarray(needed)
+
+
+def _of_most_of_the_arm(rows: StateRows, given: BoolArray) -> int:
+    """The joint whose messages tell most of the robot, by whether each row has it, shape (T, J).
+
+    A gripper's driver may publish more messages than the arm's.
+    """
+    of_robot = np.isin(rows.names, rows.expected)
+    if not of_robot.any():
+        of_robot[:] = True
+    together = given[:, of_robot].sum(axis=1)
+    told = np.square(together) @ given
+    return int(np.argmax(np.where(of_robot, told, -1)))
 
 
 def evenly_sent(rows: StateRows) -> StateRows:

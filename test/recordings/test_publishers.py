@@ -55,8 +55,17 @@ CASES: list[tuple[Any, dict[str, Any], str]] = [
         for first in (True, False)
     ),
     *(
-        (publishers.gripper_names_the_arm, {"rate": 3, "arm": arm, "samples": 10}, "second pub")
+        (
+            publishers.gripper_names_the_arm,
+            {"rate": rate, "arm": arm, "samples": 10},
+            "second pub",
+        )
         for arm in ("zeros", "late")
+        for rate in (1, 3)
+    ),
+    *(
+        (publishers.gripper_publishes_more_often, {"times": times}, "a_finger is in")
+        for times in (1, 2, 5)
     ),
     *(
         (publishers.copies_in_another_order, {"order": order}, "carry no effort")

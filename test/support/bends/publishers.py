@@ -219,6 +219,29 @@ def gripper_names_the_arm(
 
 @bend(
     "publishers",
+    Right(told=True),
+    times=one_of((1, 2, 5)),
+)
+def gripper_publishes_more_often(tape: Tape, rng: Rng, times: int) -> Tape:
+    """The gripper's driver publishes its finger on the arm's topic, so many messages for each of the arm's."""
+    states = tape.states
+    period_ns = int(np.median(np.diff(states.bag_ns)))
+    every_ns = period_ns // times
+    count = (tape.end_ns - tape.begin_ns) // every_ns
+    times_ns = tape.begin_ns + every_ns // 3 + every_ns * np.arange(count)
+    finger = 0.02 + 0.01 * np.sin(1e-9 * (times_ns - tape.begin_ns))[:, None]
+    other = replace(
+        states,
+        names=("a_finger",),
+        bag_ns=times_ns,
+        stamp_ns=times_ns + states.stamp_ns[0] - states.bag_ns[0],
+        values={"position": finger, "effort": np.zeros_like(finger)},
+    )
+    return tape.and_stream(other)
+
+
+@bend(
+    "publishers",
     Right(told=False, cause="publishers"),
     rate=one_of((1, 2)),
 )
