@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
+from itertools import combinations
 from math import pi
+from typing import TypeVar
 
 from proprio_ros.records import Run
 
+APART_RAD = 0.1
+"""Joints that are held closer to each other than this may be exchanged, and nothing shows it."""
+_T = TypeVar("_T")
 FACTORS = (0.001, 0.01, 0.1, 0.5, 2.0, 10.0, 100.0, 1000.0)
 
 
@@ -27,6 +32,35 @@ class Mistake:
             input_current_A=run.input_current_A / self.torque,
             **angles,
         )
+
+
+@dataclass(frozen=True)
+class Exchanged(Mistake):
+    """Positions of two joints that were held."""
+
+    joints: tuple[str, str] = ("", "")
+
+    def undone(self, run: Run) -> Run:
+        return replace(
+            run,
+            held=self._exchanged(run.held),
+            held_span=self._exchanged(run.held_span),
+            held_position=self._exchanged(run.held_position),
+        )
+
+    def _exchanged(self, values: Mapping[str, _T]) -> dict[str, _T]:
+        one, other = self.joints
+        names = {one: other, other: one}
+        return {name: values[names.get(name, name)] for name in values}
+
+
+def of_held(run: Run) -> Iterator[Mistake]:
+    """Those of the joints that were held while one was pushed."""
+    for one, other in combinations(run.held, 2):
+        recorded = {one, other} <= run.held_position.keys()
+        if recorded and abs(run.held[one] - run.held[other]) > APART_RAD:
+            words = f"the positions of {one} and {other} are exchanged"
+            yield Exchanged(words, joints=(one, other))
 
 
 def of_joint(

@@ -30,6 +30,8 @@ BACK = 0.8
 TWO_SHARE = 0.1
 """Of the messages, those that jump there and back, above which two publishers contradict each other."""
 MOVES_RAD = 1e-4
+CLEAR_STEPS, CLEAR_ROWS = 1.5, 4
+"""An arm that goes so many steps of its reading within so many messages moves, and does not flicker between two of them."""
 LARGEST = 50.0
 """Positions beyond are in no unit of an angle, and refused for that [rad]."""
 
@@ -191,14 +193,29 @@ def _copies(position: FloatArray) -> np.ndarray:
     repeated = repeated[inner]
     before = position[own[after[inner] - 1]]
     way = position[own[after[inner]]] - before
-    moves = np.abs(way).max(axis=1, initial=0.0) > MOVES_RAD
+    moved = np.abs(way).max(axis=1, initial=0.0)
     # of a motion that repeats itself to the last digit a sample lies between its neighbours, a copy lies behind both
     back = ((position[repeated] - before) * way).sum(axis=1) < 0.0
-    if moves.sum() < FEWEST or back[moves].mean() < BACK:
+    # where the arm stands, a coarse reading comes again by chance
+    next_to_each_other = own[after[inner]] - own[after[inner] - 1] <= CLEAR_ROWS
+    clearly = next_to_each_other & (moved > CLEAR_STEPS * _step_rad(position))
+    moves = moved > MOVES_RAD
+    if not (_mostly(back[moves]) or _mostly(back[moves & clearly])):
         return none
     # where the arm stands, too: the next one is no worse
     elsewhere = np.asarray((position[repeated] != before).any(axis=1))
     return repeated[elsewhere]
+
+
+def _mostly(back: BoolArray) -> bool:
+    """Whether messages that repeat earlier ones go back on the arm's way, shape (K,), and are enough to say so."""
+    return len(back) >= FEWEST and float(back.mean()) >= BACK
+
+
+def _step_rad(position: FloatArray) -> float:
+    """The smallest difference between two readings of a joint, shape (M, K)."""
+    steps = [np.diff(np.unique(column)).min(initial=np.inf) for column in position.T]
+    return float(min(steps, default=np.inf))
 
 
 def _refuse_contradiction(

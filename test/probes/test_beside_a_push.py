@@ -253,6 +253,16 @@ def test_a_held_joint_that_jumps_is_refused_by_name(
     assert any(f"the reading of {joint}, which is held, jumps" in each for each in estimate.reasons)
 
 
+@pytest.mark.parametrize("other", ["joint1", "joint4"])
+@pytest.mark.parametrize("folder", [CUBE, HEAVY_BALL])
+def test_held_joints_that_are_exchanged_are_named(arm: Robot, folder: Path, other: str) -> None:
+    exchanged = bends.swapped(recorded(folder), "joint2", other)
+    estimate = asked(arm, exchanged, folder)
+    named = " and ".join(sorted(["joint2", other]))
+    assert estimate.values[0].value is None
+    assert f"the positions of {named} are exchanged" in estimate.reasons[0]
+
+
 @pytest.mark.parametrize("at_s", [0.2, 0.4])
 @pytest.mark.parametrize("step_rad", [0.01, -0.01])
 def test_a_driven_joint_that_jumps_is_refused(arm: Robot, step_rad: float, at_s: float) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -104,6 +105,30 @@ def test_the_driver_is_kept(
     np.testing.assert_array_equal(
         found.effort[np.ix_(own, columns)], true.values["effort"][row[own]]
     )
+
+
+def test_copies_are_known_where_an_arm_stands_and_its_reading_flickers(
+    tape: Tape, tmp_path: Path
+) -> None:
+    rng = np.random.default_rng(SEED)
+    count_rad = 1e-4
+    position = tape.states.values["position"]
+    stands = np.repeat(position[:1], 2 * len(position), axis=0)
+    counts = np.round(np.vstack([stands, position]) / count_rad)
+    counts[: len(stands)] += rng.integers(0, 2, stands.shape)
+    period_ns = int(np.median(np.diff(tape.states.bag_ns)))
+    times_ns = tape.begin_ns + period_ns * np.arange(len(counts))
+    states = replace(
+        tape.states,
+        bag_ns=times_ns,
+        stamp_ns=times_ns,
+        values={"position": count_rad * counts, "effort": np.ones_like(counts)},
+    )
+    copied = publishers.stale_copies(Tape((states,)), rng, samples=5)
+    recording = read(copied, tmp_path)
+    assert any("copies of what was" in note for note in recording.notes), recording.notes
+    moving = recording.joints.times_ns >= times_ns[len(stands)]
+    assert moving.sum() == pytest.approx(len(position), abs=len(position) // 50)
 
 
 @pytest.mark.parametrize("rate", [1, 2])

@@ -52,7 +52,7 @@ from proprio_ros.identification.judge import (
     positive,
     rejected,
 )
-from proprio_ros.identification.mistakes import Mistake, of_joint
+from proprio_ros.identification.mistakes import Mistake, of_held, of_joint
 from proprio_ros.identification.position_steps import driven_jump, jumped
 from proprio_ros.identification.posterior import Posterior, run_fits
 from proprio_ros.identification.prepared_runs import KnownLoad, PreparedRun, joints_of, prepare_run
@@ -646,13 +646,15 @@ class Weighed(Conclusion):
 
     @functools.cached_property
     def cause(self) -> tuple[Reason, ...]:
-        """The one mistake in current or angle without which a fit explains runs that it does not with it."""
+        """The one mistake in current or angles without which a fit explains runs that it does not with it."""
         # less than nothing is no payload, however well it explains: then what is the only one that does is named
         light = self.assessed.value + Z95 * self.assessed.std < 0.0
         # tens and hundreds are no unit of current, and another mass makes up for them
         factors = (1e-3, 1.0, 1e3) if light else (1e-3, 0.5, 1.0, 2.0, 1e3)
         mistakes = of_joint(", ".join(joints_of(self.runs)), "current", "fits")
-        asked = (mistake for mistake in mistakes if abs(mistake.torque) in factors)
+        asked = [mistake for mistake in mistakes if abs(mistake.torque) in factors]
+        if self.known:  # an arm that only its file describes may be off by as much
+            asked += of_held(self.runs[0].run)
         tried = [(fit.reduced_chi2, fit.explains, words) for words, fit in self._without(*asked)]
         chi2, explains, words = min(tried, default=(np.inf, False, ""))
         only = light and len({said for _, explained, said in tried if explained}) == 1

@@ -41,6 +41,15 @@ ROWS = (
         narrow=0.25,
     ),
     Row(
+        name="gripper_more_often",
+        section=_SECTION,
+        trouble="a gripper's driver publishes its finger on the arm's topic, twice as often",
+        base="ur10e",
+        bends=(Bent("gripper_publishes_more_often", {"times": 2}),),
+        verdicts=(ACCEPTED,),
+        narrow=0.25,
+    ),
+    Row(
         name="stale_copies",
         section=_SECTION,
         trouble="a relay repeats what it heard five samples ago, with stamps of now",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from conformance.table import ACCEPTED, VERDICTS, Bent, Row
+from conformance.table import ACCEPTED, REFUSED, VERDICTS, Bent, Row
 
 _SECTION = "G. Beside a push"
 _20_G = "push_light_ball_20g_joint3_calibrated"
@@ -82,5 +82,21 @@ ROWS = (
             ),
         ),
         cause=r"command",
+    ),
+    Row(
+        name="push_joints_exchanged",
+        section=_SECTION,
+        trouble="the positions of two locked joints are exchanged",
+        base=_23_G,
+        bends=(
+            Bent(
+                "push_joints_exchanged",
+                {"joint": "joint2", "other": "joint4"},
+                _LOADED,
+            ),
+        ),
+        verdicts=REFUSED,
+        codes=("misfit",),
+        cause=r"exchanged",
     ),
 )
