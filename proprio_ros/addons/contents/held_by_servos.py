@@ -237,11 +237,13 @@ class Servo:
         return p
 
     def _shaken(self, z: FloatArray) -> tuple[FloatArray, ...]:
-        """Positions less those at rest, velocities, shape (R, T), and what the numbers change of the positions, (R, T, 3 + R)."""
+        """Positions less those at rest, velocities, shape (R, T), and what four numbers change of the positions, (R, T, 4).
+
+        They are the three of the servo and a run's own; those of other runs change nothing of it.
+        """
         if self._last is None or not np.array_equal(self._last[0], z):
-            dp = np.stack(
-                [self._law(z + 1e-30j * unit).imag / 1e-30 for unit in np.eye(len(z))], axis=2
-            )
+            along = [*np.eye(len(z))[:3], np.arange(len(z)) >= 3]
+            dp = np.stack([self._law(z + 1e-30j * way).imag / 1e-30 for way in along], axis=2)
             found = self._simulator.jacobian(
                 np.arange(len(dp), dtype=np.int32),
                 self._law(z),
@@ -270,8 +272,12 @@ class Servo:
     def jacobian(self, z: FloatArray) -> FloatArray:
         """The residual's derivative."""
         _, _, slopes = self._shaken(z)
-        seen = [self._seen(row, each) for row, each in enumerate(slopes)]
-        readings = [(each - each.mean(axis=0)) / self._sigma for each in seen]
+        readings = []
+        for row, slope in enumerate(slopes):
+            seen = self._seen(row, slope)
+            whole = np.zeros((len(seen), len(z)))
+            whole[:, [0, 1, 2, 3 + row]] = (seen - seen.mean(axis=0)) / self._sigma
+            readings.append(whole)
         return np.concatenate([*readings, np.eye(len(z))])
 
     def motions(self) -> list[Followed]:
