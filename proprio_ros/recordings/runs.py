@@ -194,7 +194,7 @@ def _driven_by_command(recording: Recording, inputs: InputRecord) -> bool:
                 if begin < interval.end_ns and end > interval.onset_ns
             ]
             end_ns = min([interval.end_ns, *begins])
-            if _span(record, joint, interval._replace(end_ns=end_ns)) > MOVING_SPAN:
+            if _spans(record, interval._replace(end_ns=end_ns))[record.column(joint)] > MOVING_SPAN:
                 return True
     return False
 
@@ -500,22 +500,26 @@ def _without_holding_joints(
     intervals: list[_Interval],
 ) -> list[_Interval]:
     """Drop the joints whose motors answer a moving neighbour: their current changes, but they stay where they are."""
+    columns = np.array([record.column(each.joint) for each in intervals], dtype=np.intp)
+    onsets_ns = np.array([each.onset_ns for each in intervals])
+    ends_ns = np.array([each.end_ns for each in intervals])
 
     def holds(interval: _Interval) -> bool:
-        least = max(MOVING_SPAN, 5.0 * _span(record, interval.joint, interval))
-        beside = [
-            each
-            for each in intervals
-            if each.onset_ns < interval.end_ns and interval.onset_ns < each.end_ns
-        ]
-        return any(_span(record, other.joint, interval) > least for other in beside)
+        spans = _spans(record, interval)
+        least = max(MOVING_SPAN, 5.0 * spans[record.column(interval.joint)])
+        beside = (onsets_ns < interval.end_ns) & (interval.onset_ns < ends_ns)
+        return bool(np.any(spans[columns[beside]] > least))
 
     return [interval for interval in intervals if not holds(interval)]
 
 
-def _span(record: JointRecord, joint: str, interval: _Interval) -> float:
-    rows = (record.times_ns >= interval.onset_ns) & (record.times_ns <= interval.end_ns)
-    return float(np.ptp(record.position[rows, record.column(joint)])) if rows.any() else 0.0
+def _spans(record: JointRecord, interval: _Interval) -> FloatArray:
+    """How far each joint moves meanwhile, shape (J,)."""
+    first = np.searchsorted(record.times_ns, interval.onset_ns, "left")
+    behind = np.searchsorted(record.times_ns, interval.end_ns, "right")
+    position = record.position[first:behind]
+    spans: FloatArray = np.ptp(position, axis=0) if len(position) else np.zeros(position.shape[1])
+    return spans
 
 
 def _run(

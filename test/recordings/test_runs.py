@@ -13,7 +13,12 @@ import numpy as np
 import pytest
 
 from proprio_ros.errors import RecordingError
-from proprio_ros.recordings.runs import cut_runs
+from proprio_ros.recordings.runs import (
+    MOVING_SPAN,
+    _Interval,
+    _without_holding_joints,
+    cut_runs,
+)
 from proprio_ros.recordings.signals import read_recording
 from proprio_ros.records import (
     MEASURED_EFFORT,
@@ -604,3 +609,33 @@ def test_a_joint_that_stands_or_creeps_repeats_its_position_rightly() -> None:
             joints=ROBOT_JOINTS,
         )
         assert len(run.times_s) == 25 and not run.notes
+
+
+def test_who_holds_beside_a_moving_joint_is_left_out_as_slowly_compared() -> None:
+    """Each interval against each other one, without what makes it fast."""
+    rng = np.random.default_rng(5)
+    times_ns = ONSET_NS + np.cumsum(rng.integers(1_000_000, 40_000_000, 400))
+    steps = rng.normal(size=(400, 3)) * [0.02, 0.002, 1e-5]
+    record = JointRecord(times_ns, JOINTS[:3], np.cumsum(steps, axis=0))
+    intervals = []
+    for _ in range(120):
+        onset_ns, end_ns = sorted(rng.integers(times_ns[0] - 10**9, times_ns[-1] + 10**9, 2))
+        onset_ns = max(onset_ns, end_ns - int(rng.choice([10**6, 10**8, 2 * 10**9])))
+        joint = str(rng.choice(JOINTS[:3]))
+        intervals.append(_Interval(joint, 0, 1, int(onset_ns), int(end_ns), ()))
+
+    def span(joint: str, interval: _Interval) -> float:
+        rows = (times_ns >= interval.onset_ns) & (times_ns <= interval.end_ns)
+        return float(np.ptp(record.position[rows, record.column(joint)])) if rows.any() else 0.0
+
+    def holds(interval: _Interval) -> bool:
+        least = max(MOVING_SPAN, 5.0 * span(interval.joint, interval))
+        return any(
+            span(other.joint, interval) > least
+            for other in intervals
+            if other.onset_ns < interval.end_ns and interval.onset_ns < other.end_ns
+        )
+
+    kept = [interval for interval in intervals if not holds(interval)]
+    assert 0 < len(kept) < len(intervals)
+    assert _without_holding_joints(record, intervals) == kept
