@@ -256,7 +256,7 @@ class Conclusion:
             assessed.run_fits,
             unknowns=tuple(replace(row, kind=self.called.get(row.kind, row.kind)) for row in rows),
             budget=tuple(self.budget),
-            scan=assessed.profile(),
+            scanned=assessed.profile,
             detail=self.detail(refusal.withheld),
             assumptions=(
                 *self.assumptions(),

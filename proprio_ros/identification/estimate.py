@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
+from functools import cached_property
 from typing import Any, Protocol
 
 import numpy as np
@@ -383,7 +384,8 @@ class Estimate:
     unknowns: tuple[UnknownRow, ...] = ()
     # (source, standard deviation it puts on the first value, in its unit)
     budget: tuple[tuple[str, float], ...] = ()
-    scan: Scan | None = None
+    # makes `scan`: a page draws it, and it takes a third of the time of an answer
+    scanned: Callable[[], Scan] | None = None
     detail: Detail | None = None  # what only one probe's answers have
     assumptions: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
@@ -397,6 +399,11 @@ class Estimate:
         if name not in named:
             raise KeyError(f"no {name} among {list(named)}")
         return named[name]
+
+    @cached_property
+    def scan(self) -> Scan | None:
+        """Cost against what was searched for, made when it is asked for."""
+        return None if self.scanned is None else self.scanned()
 
     @property
     def interval_first(self) -> bool:

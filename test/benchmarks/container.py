@@ -53,6 +53,7 @@ from proprio_ros.sim.sphere import (
 )
 
 C_GOAL = 1.5
+WHOLE_GOAL_S = 0.2
 MUJOCO_GOAL = 20.0
 EQUAL = 1e-9
 AGREEMENT = 0.05
@@ -792,9 +793,9 @@ def _whole_rows() -> list[Row]:
         else value.reason
     )
     what = f"ours: find_sphere() in total, one run and {len(baseline)} of the empty container"
-    return [
-        Row(what, timing, note=f"{estimate.verdict.value}: {found}, truth 12 g; calibrated robot")
-    ]
+    note = f"{estimate.verdict.value}: {found}, truth 12 g; calibrated robot"
+    within = timing.fastest <= WHOLE_GOAL_S
+    return [Row(what, timing, f"{timing.fastest:.2f} s (goal <= {WHOLE_GOAL_S:g} s)", within, note)]
 
 
 def _bias_rows(box: Boxed) -> list[Row]:

@@ -139,7 +139,7 @@ def identify_as_paper(
         run_fits=fits,
         unknowns=(),
         budget=(),
-        scan=Scan(
+        scanned=lambda: Scan(
             masses, 1e6 * loss(masses[:, None])[0], "squared error of the last frame (mrad^2)"
         ),
         assumptions=(
