@@ -1,6 +1,6 @@
 """What the pendant costs: from nothing to a weighed 50 g by clicks, idle beside joint states at 100 Hz, and after long use.
 
-    python test/benchmarks/pendant.py [--no-install] [--idle 60] [--hours 12]
+    python test/benchmarks/pendant.py [--no-install] [--no-first] [--idle 60] [--hours 12]
 
 Real processes: a virtual environment of its own, `proprio pendant --virtual`, and Chromium in front of it. Long use is what twelve
 hours bring, without the waiting between: a page is opened and closed every five minutes, a service called every half hour.
@@ -38,18 +38,18 @@ REST_S = 0.5
 ONE_FRAME_S = 0.02
 """What a page is told within so long is one picture, and whoever is told nothing for longer stands still."""
 PROGRAM = """
-import asyncio, gc, signal, sys, threading
+import asyncio, signal, sys, threading
 from nicegui import Client, core
-from proprio_ros.cli.commands import main
+from proprio_ros.cli import run
 
 def count(*_):
-    gc.collect()
-    with open(sys.argv[1], "a") as file:
+    with open(told, "a") as file:
         print(len(asyncio.all_tasks(core.loop)), len(Client.instances), threading.active_count(), file=file)
 
 told = sys.argv[1]
 signal.signal(signal.SIGUSR1, count)
-sys.exit(main(sys.argv[2:]))
+sys.argv[1:2] = []
+run()
 """
 """The pendant, which says at a signal how many tasks, clients and threads it has."""
 
@@ -211,6 +211,7 @@ def used(results: Results, shown: Shown, window: Browser, told: Path, hours: flo
 def main() -> None:
     parser = parser_of(__doc__)
     parser.add_argument("--no-install", action="store_true", help="begin with what is installed")
+    parser.add_argument("--no-first", action="store_true", help="leave out the first weighing")
     parser.add_argument("--idle", type=float, default=60.0, help="so long each is watched [s]")
     parser.add_argument("--hours", type=float, default=12.0, help="of use")
     given = parser.parse_args()
@@ -229,9 +230,10 @@ def main() -> None:
     results.table("use", {"": "{what}", **counts, **more})
     with tempfile.TemporaryDirectory() as place, browser(Path(place)) as window:
         folder = Path(place)
-        first_weighing(results, window, folder, not given.no_install)
+        if not given.no_first:
+            first_weighing(results, window, folder, not given.no_install)
         told = folder / "counts.txt"
-        around = {"HOME": place, "WARP_CACHE_PATH": str(folder / "kernels")}
+        around = {"HOME": place}
         program = (sys.executable, "-c", PROGRAM, str(told))
         with pendant(folder, "--virtual", program=program, **around) as shown:
             assert wait_for(lambda: "[identifier]: ready" in shown.told, LONG_S), shown.told

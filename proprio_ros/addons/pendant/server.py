@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import secrets
 import signal
 import socket
@@ -47,6 +48,8 @@ def serve(pendant: Pendant, host: str, port: int, begin: Callable[[], object]) -
     Raises:
         ConfigurationError: The address cannot be taken.
     """
+    # commands collect no garbage, since they end soon; pages leave some whenever they are closed
+    gc.enable()
     door = _bound(host, port)
     token = secrets.token_urlsafe(24)
     begin()
