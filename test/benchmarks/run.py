@@ -30,6 +30,7 @@ import fresh_process
 import gpu
 import planned
 import softness
+import waits
 from case import REPEATS, Case, Row, measure
 from results import Results, parser_of
 
@@ -43,6 +44,7 @@ PARTS = {
     "calibrated": calibrated.rows,
     "container": container.rows,
     "fresh": fresh_process.rows,
+    "waits": waits.rows,
     "plan": planned.rows,
     "bus": bus.rows,
     "softness": softness.rows,
