@@ -235,6 +235,17 @@ def connections_of(name: str, module: ModuleType, node: Any) -> list[Connection]
     return list(dict.fromkeys(found))
 
 
+def _deadlines() -> str:
+    """By when a call of the identifier is answered."""
+    from proprio_ros.live.deadlines import CANCELLED_S, REPEAT_S, STAGES
+
+    waits = "; ".join(f"{stage.waits_for}: {stage.at_most_s:g} s" for stage in STAGES)
+    return (
+        "A call of the identifier is answered with what it waits for, and its job ends, when it has got no further for "
+        f"so long ({waits}). `~/status` repeats that every {REPEAT_S:g} s; `~/cancel` answers within {CANCELLED_S:g} s."
+    )
+
+
 def ros_interface() -> str:
     """The page about topics, services and parameters."""
     from proprio_ros.nodes.interface import about, interface_of
@@ -247,6 +258,7 @@ def ros_interface() -> str:
         "those without a namespace; topics are relative, so remapping and `namespace:=arm1` work as usual. *Latched*: transient "
         "local, depth 1, so who comes late still gets the last message. Services answer `success` and a sentence in `message`; "
         "while a job is under way others are refused with the reason.",
+        _deadlines(),
     ]
     explained = _Once("as above")
     meant = _Once("as above")

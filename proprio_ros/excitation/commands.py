@@ -17,6 +17,9 @@ class JointSample:
     time_s: float  # when it was taken, on the clock of `ExcitationMachine.tick` [s]
     position: Mapping[str, float]  # by joint [rad or m]
     velocity: Mapping[str, float]  # by joint [rad/s or m/s]
+    stamp_s: float = (
+        math.nan
+    )  # when positions were read, by whoever read them; only differences count [s]
 
 
 @dataclass(frozen=True)
@@ -58,6 +61,7 @@ class JointStates:
         names: Sequence[str],
         position: Sequence[float],
         velocity: Sequence[float] = (),
+        stamp_s: float = math.nan,
     ) -> JointSample | None:
         """One message.
 
@@ -66,6 +70,7 @@ class JointStates:
             names: Joints, in the order of the message, shape (J,).
             position: Of these, shape (J,) [rad or m].
             velocity: Of all, some or none of these, shape (J,) at most [rad/s or m/s].
+            stamp_s: Of the message [s].
 
         Returns:
             All joints as last seen; None where the message says nothing about this arm, or one of its joints is not seen any more.
@@ -94,6 +99,7 @@ class JointStates:
             now_s,
             dict(self._position),
             dict(self._velocity),
+            stamp_s,
         )
 
     def _mean_velocity(self, name: str, now_s: float, position: float) -> float:

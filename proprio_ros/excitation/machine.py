@@ -382,12 +382,17 @@ class ExcitationMachine:
         # goals wait for joints that were not seen for a while: the servos may have missed the command, too
         self._seen_s = min(gap_s, LONGEST_STEP_S)
         if gap_s > 0.0:
-            problem = self._jumped(sample, gap_s)
+            problem = self._jumped(sample, max(gap_s, self._stamps_apart_s(sample)))
             if problem:
                 return problem
             self._sample = sample
             self._recent.append((sample.time_s, sample.position[self._run.joint]))
         return None
+
+    def _stamps_apart_s(self, sample: JointSample) -> float:
+        """How far apart positions were read: on a busy computer those of one place come in a burst [s]."""
+        apart_s = sample.stamp_s - self._sample.stamp_s
+        return min(apart_s, self.guards.patience_s) if apart_s > 0.0 else 0.0
 
     def _jumped(self, sample: JointSample, gap_s: float) -> Problem | None:
         """A position that no motion explains; between samples that are far apart a joint may have gone on as fast as it may."""

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 from proprio_ros import clock
 from proprio_ros.errors import ProprioError
 from proprio_ros.excitation.plans import ExcitationSequence, Until, check_sequence, load_sequence
+from proprio_ros.live.deadlines import Progress
 from proprio_ros.robot import Robot
 
 if TYPE_CHECKING:
@@ -38,6 +39,9 @@ class Job:
     # set when somebody asks for its end ..
     cancelled: clock.Event = field(default_factory=clock.event)
     ended: clock.Event = field(default_factory=clock.event)  # .. and when that is reached
+    progress: Progress = field(default_factory=Progress)
+    given_up: str = ""  # why it was answered before its end; nothing of it counts then
+    repeated: int = 0  # how many sequences were made once more, since joint states had paused
     success: bool = False
     message: str = ""
     # KEY=VALUE, about the object; these win over what the node knows
@@ -51,6 +55,11 @@ class Job:
     # pushes are chosen until then, whatever the sequence says; None: what it says counts
     until: Until | None = None
     decisions: list[Decision] = field(default_factory=list)  # one by one, where pushes were chosen
+
+    def check_wanted(self) -> None:
+        """Raises `JobError`: The call has been answered, and nobody waits for what comes of it."""
+        if self.given_up:
+            raise JobError(self.given_up)
 
     def plan(self, default: str, robot: Robot) -> ExcitationSequence:
         """The sequence that it makes: the one that was asked for, else a parameter's, and until it is as sure as was asked for.

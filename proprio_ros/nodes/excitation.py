@@ -186,6 +186,7 @@ class ExcitationNode(ManagedNode):
             message.name,
             message.position,
             message.velocity,
+            1e-9 * messages.time_ns(message.header.stamp),
         )
         if sample is not None:
             self._sample = sample

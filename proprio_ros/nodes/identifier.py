@@ -22,6 +22,7 @@ from proprio_ros import clock, progress
 from proprio_ros.errors import ConfigurationError, ProprioError
 from proprio_ros.excitation.plans import load_sequence
 from proprio_ros.inputs.settings import parse_settings
+from proprio_ros.live.deadlines import CANCELLED_S, LOOK_S
 from proprio_ros.live.job import WEIGH, Job, JobError
 from proprio_ros.live.session import (
     Session,
@@ -43,7 +44,7 @@ from proprio_ros.nodes.payload_export import HandingOn
 from proprio_ros.nodes.process import run_node
 from proprio_ros.nodes.qos import LATCHED
 from proprio_ros.nodes.results import Results
-from proprio_ros.nodes.services import Answer, LongService
+from proprio_ros.nodes.services import Answer, LongService, once, within
 from proprio_ros.nodes.tables import IDENTIFIER
 from proprio_ros.nodes.weighing import Weighing
 from proprio_ros.probes import all_probes
@@ -78,6 +79,8 @@ class IdentifierNode(ManagedNode):
             each.name: each.default for each in self.parameters if each.name.endswith("_sequence")
         }
         self._job: Job | None = None
+        self._answer: Answer = lambda success, message: None  # of the job
+        self._progress: tuple[str, ...] = ()  # of the excitation node
         self._job_lock = clock.lock()
         self._unsaved: list[Session] = []
 
@@ -144,6 +147,7 @@ class IdentifierNode(ManagedNode):
         self._action = WeighAction(self, self._begin_job, self._check_job)
         results.hear = self._action.hear
         self.every(5.0, self.jobs.save_again)
+        self.every(LOOK_S, self._look_after_job)
         self.add_on_set_parameters_callback(self._on_parameters)
 
     def _prepare(self) -> None:
@@ -263,6 +267,30 @@ class IdentifierNode(ManagedNode):
         if job is not None:
             entries = {key: values.get(key, "") for key in ("fraction", "phase")}
             self.results.tell(job.kind, words, entries)
+            steps = ("sequence", "phase", "run", "attempt", "fraction")
+            progress = tuple(values.get(key, "") for key in steps)
+            if progress != self._progress:
+                self._progress = progress
+                job.progress.go_on()
+
+    def _look_after_job(self) -> None:
+        """Say what it waits for; one that gets no further for too long is answered, and cancelled."""
+        job = self._job
+        if job is None or job.given_up:
+            return
+        why = job.progress.overdue()
+        if not why:
+            words = job.progress.still()
+            if words:
+                self.results.tell(job.kind, words)
+            return
+        job.message = job.given_up = f"{job.service} is {why}; it is cancelled, and the arm held"
+        job.cancelled.set()
+        self.say("error", job.message)
+        self.results.failure(job)
+        job.entries = self.results.entries
+        self.results.tell(job.kind, job.message, level="error")
+        self._answer(False, job.message)
 
     def _refused(self) -> str:
         """Why no job can be begun now, or an empty string."""
@@ -272,11 +300,12 @@ class IdentifierNode(ManagedNode):
         if missing:
             return f"not ready: {missing}"
         job = self._job
-        return (
-            ""
-            if job is None
-            else f"busy: {job.service} is under way; wait for it, or call ~/cancel"
-        )
+        if job is None:
+            return ""
+        if job.given_up:
+            waits = job.progress.stage.waits_for
+            return f"busy: {job.service} was given up, and still waits for {waits}: wait, or restart this node"
+        return f"busy: {job.service} is under way; wait for it, or call ~/cancel"
 
     def _check_job(self, job: Job) -> None:
         """Whether a job could be begun now.
@@ -301,8 +330,12 @@ class IdentifierNode(ManagedNode):
         why = self._refused()
         if why:
             return answer(False, why)
+        self._answer = once(answer)
+        job.progress.go_on()
         self._job = job
-        clock.thread(target=self._work, args=(job, answer), name=f"calibrate {job.kind}").start()
+        clock.thread(
+            target=self._work, args=(job, self._answer), name=f"calibrate {job.kind}"
+        ).start()
         return None
 
     def _cancel(self, answer: Answer) -> None:
@@ -310,6 +343,7 @@ class IdentifierNode(ManagedNode):
             job = self._job
             if job is None:
                 return answer(True, "nothing was under way")
+            answer = within(self, CANCELLED_S, answer, lambda: _not_ended(job))
             job.on_end.append(lambda: answer(True, f"{job.service} was cancelled; the arm is held"))
         if job.service != ACTION or not self._action.cancel():
             job.cancelled.set()
@@ -337,7 +371,7 @@ class IdentifierNode(ManagedNode):
                 self._job = None
             self.say("info" if job.success else "warning", job.message)
             if self.active:
-                if not job.success and not self.results.concluded:
+                if not job.success and not self.results.concluded and not job.given_up:
                     self.results.failure(job)
                 job.entries = self.results.entries
                 self.results.tell("idle", job.message, level=level)
@@ -345,6 +379,11 @@ class IdentifierNode(ManagedNode):
             answer(job.success, job.message)
             for tell in job.on_end:
                 tell()
+
+
+def _not_ended(job: Job) -> str:
+    waits = job.progress.stage.waits_for
+    return f"{job.service} is cancelled, and has not ended within {CANCELLED_S:g} s: it waits for {waits}"
 
 
 def main() -> int:

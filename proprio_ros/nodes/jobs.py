@@ -23,6 +23,15 @@ from proprio_ros.identification.calibration_estimate import CalibrationEstimate
 from proprio_ros.identification.estimate import Estimate, Verdict
 from proprio_ros.inputs.settings import parse_settings
 from proprio_ros.live.answers import interval_of, live_answer, refusal_of
+from proprio_ros.live.deadlines import (
+    CHECKING,
+    CHOOSING,
+    HANDLING,
+    IDENTIFYING,
+    MOVING,
+    PREPARING,
+    SAVING,
+)
 from proprio_ros.live.job import REFRESH, ROBOT, WEIGH, Job, JobError
 from proprio_ros.live.session import (
     LiveEstimate,
@@ -59,6 +68,7 @@ from proprio_ros.recordings.messages import RawMessage
 from proprio_ros.records import Run
 from proprio_ros.report import write_calibration_report
 from proprio_ros.report.choices_page import Choice, write_choices
+from proprio_ros.schema import reason_codes
 
 CHECK_S = 0.3
 LONGEST_CHECK_S = 2.0
@@ -67,6 +77,9 @@ LONGEST_CHECK_S = 2.0
 REFRESH_S = 30.0
 # a run has ended when the excitation node says so; what was measured of it may still be on its way
 HEARD_S = 1.0
+PAUSED = "stale"  # what ends a sequence whose joint states do not come
+REPEATED_AT_MOST = 3  # sequences of a job
+SPOILS = "paused"  # the reason where they came, with a pause in a push
 AT_AN_END = ("limit", "clearance")
 AT_AN_END_TRIES = 2
 """Where the arm ends when the object is heavier than was thought: it sags, or the current does not hold it. So often another push
@@ -82,6 +95,12 @@ def _choice(decision: Decision) -> Choice:
     return Choice(
         decision.value, decision.half, decision.promised, chosen, words, decision.decided_s
     )
+
+
+def _spoilt(estimate: Estimate) -> bool:
+    """Whether nothing explains the runs, and joint states paused in one: that says nothing of the object."""
+    rejected = estimate.verdict is Verdict.REJECTED
+    return rejected and SPOILS in reason_codes(estimate.reasons)
 
 
 @dataclass(frozen=True)
@@ -119,6 +138,15 @@ class Jobs:
     def _value(self, name: str) -> Any:
         return value_of(self._node, name)
 
+    def _teller(self, job: Job) -> Callable[[str], None]:
+        """What says how far a job is."""
+
+        def tell(words: str) -> None:
+            job.progress.go_on()
+            self._results.tell(job.kind, words)
+
+        return tell
+
     def make(self, job: Job) -> tuple[bool, str]:
         """Whether a job succeeded, and what there is to say; raises ProprioError where it ended without a result."""
         if job.kind == WEIGH:
@@ -150,40 +178,12 @@ class Jobs:
     def _identify_object(self, job: Job, probe: Probe[Any]) -> tuple[bool, str]:
         """Have the runs of a probe made, and identify the object from them."""
         task = self._task(job, probe)
-        request = task.request
         self._say_what_is_guessed(task)
         self._prepare(job, task)
-        chooser = None
-        if task.plan.until is not None:
-            self._results.tell(job.kind, "simulating what could be pushed")
-            runs = baseline_runs(request)
-            chooser = chooser_of(
-                probe,
-                request.robot,
-                request.facts,
-                task.plan,
-                runs,
-            )
-        if probe.hand:
-            self._results.tell(job.kind, probe.hand)
-        bag = self.record(
-            job,
-            job.kind,
-            task.sequence,
-            request,
-            chooser,
-        )
-        try:
-            estimate = self.identify(
-                job, bag, request.options, partial(self._results.publish, request)
-            )
-        except RecordingError as error:
-            raise JobError(f"{job.reason or error}; recording: {bag}") from error
-        if chooser is not None and task.plan.until is not None:
-            sought = chooser.sought
-            target = task.plan.until.half_interval
-            choices = list(map(_choice, job.decisions))
-            self._keep(lambda: write_choices(choices, sought, target, bag.parent / "choices.html"))
+        bag, estimate = self._pushed(job, task)
+        while _spoilt(estimate) and self._may_repeat(job):
+            self._say_again(job, f"{refusal_of(estimate)}; recording: {bag}")
+            bag, estimate = self._pushed(job, task)
         by = f"; {job.reason}" if job.reason else ""
         by += self._workspace.used
         if task.baseline is not None:
@@ -194,6 +194,52 @@ class Jobs:
         if isinstance(probe, Shown):
             answer += probe.remark(estimate)
         return True, f"{probe.subject} {answer}, {estimate.runs} runs{by}; recording: {bag}"
+
+    def _pushed(self, job: Job, task: _Task) -> tuple[Path, Estimate]:
+        """Have the runs of an object made once, and identify it: the recording, and what it says."""
+        request = task.request
+        probe = task.probe
+        until = task.plan.until
+        chooser = None
+        if until is not None:
+            self._results.tell(job.kind, "simulating what could be pushed")
+            runs = baseline_runs(request)
+            chooser = chooser_of(
+                probe,
+                request.robot,
+                request.facts,
+                task.plan,
+                runs,
+            )
+            job.decisions.clear()
+            job.reason = ""
+        if probe.hand:
+            self._results.tell(job.kind, probe.hand)
+        bag = self.record(
+            job,
+            job.kind,
+            task.sequence,
+            request,
+            chooser,
+        )
+
+        def publish(estimate: Estimate) -> None:
+            if not (_spoilt(estimate) and self._may_repeat(job)):
+                self._results.publish(request, estimate)
+
+        try:
+            estimate = self.identify(job, bag, request.options, publish)
+        except RecordingError as error:
+            raise JobError(f"{job.reason or error}; recording: {bag}") from error
+        if chooser is not None and until is not None:
+            sought = chooser.sought
+            choices = list(map(_choice, job.decisions))
+            self._keep(
+                lambda: write_choices(
+                    choices, sought, until.half_interval, bag.parent / "choices.html"
+                )
+            )
+        return bag, estimate
 
     def _task(self, job: Job, probe: Probe[Any]) -> _Task:
         """What is to be pushed and identified.
@@ -238,6 +284,7 @@ class Jobs:
         """Compile what the identification needs, before anything moves."""
         probe = task.probe
         request = task.request
+        job.progress.enter(PREPARING)
         goes_along = isinstance(probe, EstimatesLive) and self._node.values["live_period"] > 0.0
         live = task.plan.until is not None or goes_along
         self._inputs.live = LiveEstimate(request) if live else None
@@ -246,6 +293,7 @@ class Jobs:
         prepare = probe.prepare if isinstance(probe, Prepares) else probe.compile
         with progress.listening(partial(self._results.tell_and_log, job.kind)):
             prepare(request.robot, request.facts)
+        job.check_wanted()
         if job.cancelled.is_set():
             raise JobError("cancelled")
 
@@ -295,7 +343,7 @@ class Jobs:
     def _calibrate(self, job: Job) -> tuple[bool, str]:
         """The robot, with an empty hand and perhaps a weighed object."""
         self._inputs.live = None
-        tell = partial(self._results.tell, job.kind)
+        tell = self._teller(job)
         options = replace(
             self._workspace.options(),
             robot=self._workspace.robot,
@@ -312,6 +360,7 @@ class Jobs:
         mass = float(self._value("reference_mass"))
         if mass > 0.0:
             wait_s = float(self._value("reference_wait"))
+            job.progress.enter(HANDLING, wait_s)
             tell(f"put the reference object of {mass:g} kg into the hand: going on in {wait_s:g} s")
             if job.cancelled.wait(wait_s):
                 raise JobError(f"cancelled before the reference was weighed; recording: {bag}")
@@ -321,10 +370,12 @@ class Jobs:
             chosen = self._chosen(job, sequence, request, empty, references, mass)
             if chosen:
                 references[self.record(job, "reference", chosen, request)] = mass
+        job.progress.enter(IDENTIFYING)
         tell("identifying the robot")
         output = bag.parent / "calibration.yaml"
         options = replace(options, settings=parse_settings(self._value("reference_settings")))
         estimate = calibrate_from_bags(empty, references, options, output, tell, force=True)
+        job.check_wanted()
         on = (
             f"{len(estimate.run_fits)} of {estimate.runs} runs"
             if estimate.run_fits
@@ -337,7 +388,7 @@ class Jobs:
     def _refresh(self, job: Job) -> tuple[bool, str]:
         """The calibration in use, brought up to date by some chosen pushes with an empty hand."""
         used = self._workspace.calibration
-        tell = partial(self._results.tell, job.kind)
+        tell = self._teller(job)
         if used is None:
             raise JobError(
                 "there is no calibration to bring up to date: call ~/calibrate_robot first"
@@ -359,6 +410,7 @@ class Jobs:
                 True,
                 f"up to date: made less than ten minutes ago, or by another clock; calibration: {used}",
             )
+        job.progress.enter(IDENTIFYING)
         tell("choosing the pushes that bring the calibration up to date")
         plan = load_sequence(self._value("robot_sequence"), fresh)
         runs, then, now = chosen_refresh(fresh, old, REFRESH_S, plan)
@@ -389,6 +441,7 @@ class Jobs:
             chosen,
             Request(fresh, options),
         )
+        job.progress.enter(IDENTIFYING)
         tell("identifying what has changed")
         output = bag.parent / "calibration.yaml"
         try:
@@ -398,6 +451,7 @@ class Jobs:
         sentence = (
             f"calibration brought up to date by {len(estimate.run_fits)} of {estimate.runs} runs"
         )
+        job.check_wanted()
         return self._calibrated(estimate, output, bag, (bag,), sentence)
 
     def _calibrated(
@@ -438,6 +492,7 @@ class Jobs:
         plan = load_sequence(sequence, request.robot)
         if plan.until is None:
             return ""
+        job.progress.enter(IDENTIFYING)
         self._results.tell(job.kind, "choosing further pushes")
         stated = parse_settings(self._value("reference_settings") if references else [])
         so_far = calibrate_from_bags(empty, references, replace(request.options, settings=stated))
@@ -474,8 +529,10 @@ class Jobs:
         Returns:
             The estimate.
         """
+        job.progress.enter(IDENTIFYING)
         self._results.tell(job.kind, "identifying")
         estimate = replay([bag], options)
+        job.check_wanted()
         publish(estimate)
         command = replay_command(bag, options)
         sources = [str(path) for path in (bag, *options.baseline)]
@@ -527,6 +584,38 @@ class Jobs:
         request: Request,
         chooser: Chooser | None = None,
     ) -> Path:
+        """As `_record`; where a busy computer let joint states pause, which says nothing of the arm, once more."""
+        try:
+            return self._record(job, kind, sequence, request, chooser)
+        except JobError as error:
+            if error.aborted_by != PAUSED or not self._may_repeat(job):
+                raise
+            self._say_again(job, str(error))
+            try:
+                self.await_others(job)
+            except JobError:
+                raise error from None
+        return self.record(job, kind, sequence, request, chooser)
+
+    @staticmethod
+    def _may_repeat(job: Job) -> bool:
+        """Whether a sequence may be made once more: so often a busy computer is forgiven, and not for ever."""
+        return job.repeated < REPEATED_AT_MOST and not job.cancelled.is_set()
+
+    def _say_again(self, job: Job, why: str) -> None:
+        """The arm moves once more, and who stands beside it knows why."""
+        job.repeated += 1
+        self._node.say("warning", f"{why}; the sequence is made once more")
+        self._results.tell(job.kind, f"once more: {why}", level="warning")
+
+    def _record(
+        self,
+        job: Job,
+        kind: str,
+        sequence: str,
+        request: Request,
+        chooser: Chooser | None,
+    ) -> Path:
         """Have a sequence made, listen to it, and keep what came; the bag is written however it ends.
 
         Args:
@@ -543,6 +632,7 @@ class Jobs:
             JobError: The sequence did not end well, or the bag cannot be written.
         """
         inputs = self._inputs
+        job.progress.enter(CHECKING)
         inputs.catch_up()
         session = Session(self._workspace.data, kind)
         try:
@@ -558,13 +648,17 @@ class Jobs:
             session.add(*message)
         inputs.session = session
         failure = ""
+        aborted_by = ""
+        job.progress.enter(MOVING)
         try:
             self._excite(job, sequence, chooser)
             inputs.await_tail()
         except JobError as error:
             failure = str(error)
+            aborted_by = error.aborted_by
         finally:
             inputs.session = None
+        job.progress.enter(SAVING)
         try:
             bag, warning = session.save()
         except RecordingError as error:
@@ -575,7 +669,7 @@ class Jobs:
         if warning:
             self._node.say("warning", warning)
         if failure:
-            raise JobError(f"{failure}; recording: {bag}")
+            raise JobError(f"{failure}; recording: {bag}", aborted_by)
         return bag
 
     def _excite(
@@ -613,6 +707,7 @@ class Jobs:
             runs = self._heard_runs(live, 0)
         self._await_position(live)
         while True:
+            job.progress.enter(CHOOSING)
             with threadpool_limits(1, user_api="blas"), clock.urgently():
                 decision = chooser.next(
                     runs,
@@ -630,6 +725,7 @@ class Jobs:
                 job.reason = decision.reason
                 return
             chosen = as_text(chooser.sequence_of(decision.run))
+            job.progress.enter(MOVING)
             try:
                 self._excitation.make(job, chosen)
             except JobError as error:

@@ -86,6 +86,47 @@ def when_there(node: ManagedNode, client: Any, then: Callable[[bool], None]) -> 
     timer = node.every(LOOK_S, look)
 
 
+def once(answer: Answer) -> Answer:
+    """Answers with what is said first, from whichever thread, and drops the rest."""
+    lock = clock.lock()
+    answered = False
+
+    def first(success: bool, message: str) -> None:
+        nonlocal answered
+        with lock:
+            again = answered
+            answered = True
+        if not again:
+            answer(success, message)
+
+    return first
+
+
+def within(
+    node: ManagedNode, seconds: float, answer: Answer, too_late: Callable[[], str]
+) -> Answer:
+    """Answers with what is said first, or after so long that it has failed.
+
+    Args:
+        node: The node that serves; in its thread.
+        seconds: From now on.
+        answer: Of the call.
+        too_late: Gives the sentence that is answered then.
+
+    Returns:
+        What is to be said, once or more, from any thread.
+    """
+    first = once(answer)
+
+    def end() -> None:
+        timer.cancel()
+        node.destroy_timer(timer)
+        first(False, too_late())
+
+    timer = node.every(seconds, end)
+    return first
+
+
 class LongService:
     """A `std_srvs/Trigger` service that is answered later, without a thread that waits.
 

@@ -15,6 +15,7 @@ from proprio_ros.errors import RecordingError
 from proprio_ros.identification.estimate import Estimate
 from proprio_ros.inputs.settings import parse_settings
 from proprio_ros.live.answers import interval_of, refusal_of
+from proprio_ros.live.deadlines import SAVING
 from proprio_ros.live.job import WEIGH, Job, JobError
 from proprio_ros.live.online_estimator import NO_MOTIONS, OnlineFeed, any_moved
 from proprio_ros.live.session import Session
@@ -118,6 +119,7 @@ class Weighing:
         stated = {**settings, **parse_settings(job.settings)}
         request = self._workspace.request(probe_at_work(), stated, None)
         options = replace(request.options, effort_unit=unit)
+        job.progress.enter(SAVING)
         session = Session(self._workspace.data, WEIGH)
         for message in kept:
             session.add(*message)

@@ -780,6 +780,23 @@ def test_a_jump_is_what_no_joint_can_do(gap_s: float, jump: float, accepted: boo
     assert accepted or said in ready.machine.abort_reason
 
 
+@pytest.mark.parametrize(("apart_s", "accepted"), [(0.09, True), (0.02, False), (-5.0, False)])
+def test_how_far_apart_positions_were_read_counts(apart_s: float, accepted: bool) -> None:
+    """They came 9 ms apart, and had been read 90 ms apart by a computer that was busy: a fast joint is no slipped encoder."""
+    ready = pushed()
+    stamped = replace(ready.sample, time_s=ready.sample.time_s + 0.01, stamp_s=7.0)
+    assert ready.machine.tick(stamped.time_s, stamped).current_A
+    place = stamped.position["joint3"] - 0.43
+    late = replace(
+        stamped,
+        time_s=stamped.time_s + 0.009,
+        position={**stamped.position, "joint3": place},
+        stamp_s=7.0 + apart_s,
+    )
+    assert bool(ready.machine.tick(late.time_s, late).current_A) is accepted
+    assert accepted or ready.machine.outcomes[-1].ended_by == "jump"
+
+
 def test_a_sample_that_is_repeated_grows_stale() -> None:
     ready = pushed()
     frozen = ready.sample
