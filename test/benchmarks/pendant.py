@@ -9,6 +9,7 @@ hours bring, without the waiting between: a page is opened and closed every five
 from __future__ import annotations
 
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -33,7 +34,7 @@ CALLED_EACH_H = 2
 SETTLES_S = 10.0
 FORGETS_S = 15.0
 """So long a page may be silent before it is forgotten."""
-MOVES = '"move"'
+MOVES = re.compile(r'\\?"move\\?"')
 REST_S = 0.5
 ONE_FRAME_S = 0.02
 """What a page is told within so long is one picture, and whoever is told nothing for longer stands still."""
@@ -128,7 +129,7 @@ class Watched(Tab):
     def _hear(self, message: dict[str, Any]) -> None:
         super()._hear(message)
         if message.get("method") == "Network.webSocketFrameReceived":
-            if MOVES in message["params"]["response"]["payloadData"]:
+            if MOVES.search(message["params"]["response"]["payloadData"]):
                 self.moved_s.append(float(message["params"]["timestamp"]))
 
     def frames_per_s(self) -> float:

@@ -24,7 +24,7 @@ GL = ["--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--remote-debugg
 """Three dimensions without a graphics card."""
 
 PICK = """(() => {
-  const it = [...document.querySelectorAll("button, a, [role=button], summary, label")].filter((it) =>
+  const it = [...document.querySelectorAll("button, a, [role=button], [role=switch], summary, label")].filter((it) =>
     it.innerText.trim().startsWith(%s) && it.getClientRects().length && !it.disabled)[0];
   if (!it) return null;
   it.scrollIntoView({block: "center"});
