@@ -135,7 +135,8 @@ class Watched(Tab):
     def frames_per_s(self) -> float:
         """While something moves."""
         gaps_s = np.diff([at for n, at in enumerate(self.moved_s) if self._is_new(n)])
-        return float(1.0 / np.median(gaps_s[gaps_s < REST_S]))
+        moving_s = gaps_s[gaps_s < REST_S]
+        return float(1.0 / np.median(moving_s)) if len(moving_s) else float("nan")
 
     def _is_new(self, n: int) -> bool:
         return n == 0 or self.moved_s[n] - self.moved_s[n - 1] > ONE_FRAME_S
@@ -156,6 +157,7 @@ def idle(results: Results, shown: Shown, window: Browser, seconds: float) -> Non
             other = window.tab()
             other.open(shown.address.replace("/?", "/wizard?"))
             does(other, "Weigh an object")
+            other.click("Give up")
             other.close()
             tab.does("true")
         else:
