@@ -88,6 +88,17 @@ class Answered:
         return float(Z95 * abs(outcome.value - self.truth) / half)
 
     @property
+    def far(self) -> bool:
+        """Whether it is more than `FAR` standard deviations off."""
+        return (self.sigmas or 0.0) > FAR
+
+    @property
+    def said_to_lean(self) -> bool:
+        """Whether the interval that is given for zeros that moved holds."""
+        moved = self.outcome.if_zeros_moved
+        return moved is not None and moved[0] <= self.truth <= moved[1]
+
+    @property
     def holds(self) -> bool:
         interval = self.outcome.interval
         return interval is not None and interval[0] <= self.truth <= interval[1]
@@ -210,7 +221,8 @@ def row(
         accepted=len(accepted),
         hold=sum(each.holds for each in accepted),
         wide=len(answers) - len(accepted) - len(refused),
-        beyond=sum(sigma > FAR for sigma in sigmas),
+        beyond=sum(each.far for each in answers),
+        leaning=sum(each.far and each.said_to_lean for each in answers),
         farthest=max(sigmas, default=None),
         refused=len(refused),
         named=sum(each.cause_named for each in refused),
@@ -230,6 +242,7 @@ def tables(results: Results, answers: Sequence[Answered]) -> None:
             "hold": "{hold}",
             "too wide": "{wide}",
             "beyond 3 sd": "{beyond}",
+            "of these within `if_zeros_moved`": "{leaning}",
             "farthest, in sd": "{farthest:.1f}",
             "refused": "{refused}",
             "of them the cause named": "{named}",
@@ -266,7 +279,7 @@ def tables(results: Results, answers: Sequence[Answered]) -> None:
             asked=len(mine),
             accepted=sum(each.accepted for each in mine),
             hold=sum(each.accepted and each.holds for each in mine),
-            beyond=sum((each.sigmas or 0.0) > FAR for each in mine),
+            beyond=sum(each.far for each in mine),
             refused=len(refused),
             named=sum(each.cause_named for each in refused),
             lost=sum(each.lost for each in mine),
@@ -282,7 +295,7 @@ def tables(results: Results, answers: Sequence[Answered]) -> None:
         },
     )
     for each in answers:
-        if (each.sigmas or 0.0) > FAR and each.outcome.interval is not None:
+        if each.far and each.outcome.interval is not None:
             low, high = each.outcome.interval
             results.row(
                 "beyond",
@@ -303,7 +316,7 @@ def printed(each: Answered) -> str:
     marks = " ".join(
         word
         for word, there in (
-            ("BEYOND", (each.sigmas or 0.0) > FAR),
+            ("BEYOND", each.far),
             ("MISSES", each.accepted and not each.holds),
             ("LOST", each.lost),
             ("UNNAMED", each.refused and not each.cause_named),

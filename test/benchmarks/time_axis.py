@@ -52,6 +52,13 @@ class Answer:
     def accepted(self) -> bool:
         return self.outcome.verdict == ACCEPTED and self.outcome.interval is not None
 
+    def __str__(self) -> str:
+        question = self.question
+        said = f"{self.outcome.verdict} {','.join(self.outcome.codes)}"
+        if self.accepted:
+            said = f"{self.sigmas:.1f} sd"
+        return f"{question.base.name}, times {question.factor:g}, {question.of}: {said}"
+
     @property
     def interval(self) -> tuple[float, float]:
         assert self.outcome.interval is not None
@@ -192,7 +199,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
             for of in (ALONE, TOGETHER)
         ]
         with ProcessPoolExecutor(options.jobs) as pool:
-            answers = list(pool.map(partial(answer, made=made), questions, chunksize=4))
+            answers = []
+            for each in pool.map(partial(answer, made=made), questions):
+                answers.append(each)
+                print(each, flush=True)
     columns = {
         "asked": "{asked}",
         "accepted": "{accepted}",
@@ -221,9 +231,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
             row(results, "machines", f"{machine}, {of}", mine, half=widening(mine))
     for each in answers:
         if each.accepted and each.sigmas > FAR:
-            print(
-                f"{each.sigmas:.1f} sd: {each.question.base.name}, {each.question.factor:g}, {each.question.of}"
-            )
+            print(f"beyond three sd: {each}")
     results.keep()
 
 

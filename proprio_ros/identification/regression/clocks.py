@@ -23,7 +23,13 @@ from proprio_ros.identification.chance import normal_density
 from proprio_ros.identification.estimate import Verdict
 from proprio_ros.identification.judge import Refusal
 from proprio_ros.identification.reasons import Reason
-from proprio_ros.identification.regression.motion_equations import Arm, Problem, equations
+from proprio_ros.identification.regression.motion_equations import (
+    MIN_STRETCHES,
+    STRETCH_S,
+    Arm,
+    Problem,
+    equations,
+)
 from proprio_ros.identification.regression.motion_prior import (
     priors_of_calibration,
     priors_of_file,
@@ -113,7 +119,7 @@ def _followed(
         PACE_SPREAD,
     )
     lag_std_s = _open_std(clock.lag_s, clock.lag_std_s, LAG_MISFIT_S, LAG_SPREAD_S)
-    if clock.runs_off:
+    if clock.runs_off and not _leaves_too_little(motion, clock.pace):
         pace = clock.pace
         pace_std = float(np.hypot(clock.pace_std, PACE_MISFIT))
         notes.append(_pace_followed(motion, pace, pace_std))
@@ -128,6 +134,16 @@ def _followed(
         pace_std=pace_std,
         lag_std_s=lag_std_s,
     )
+
+
+def _leaves_too_little(motion: Motion, pace: float) -> bool:
+    """Whether a motion that took ``pace`` times as long is too short to weigh.
+
+    Its clock is uncertain then, and not followed: what else is wrong with it bends the clock, and would be lost.
+    """
+    lasts_s = float(motion.times_s[-1] - motion.times_s[0])
+    least_s = STRETCH_S * (MIN_STRETCHES + 1)
+    return pace * lasts_s < least_s <= lasts_s
 
 
 def _pace_followed(

@@ -222,6 +222,19 @@ def test_a_calibration_and_its_reference_follow_their_clocks(twin: Pair) -> None
     assert sum("the loop ran at" in note for note in learnt.notes) == 2
 
 
+def test_a_clock_that_leaves_too_little_is_uncertain_and_not_followed(twin: Pair) -> None:
+    six_s = int(np.searchsorted(twin.loaded.times_s, 6.0))
+    motion = at_pace(twin.loaded.part(slice(0, six_s)), 0.45)
+    calibration = fit_empty(twin.robot, [twin.empty])
+    assert clock_of(twin.robot, motion, calibration, loaded=True).runs_off
+    (found,) = with_clocks(twin.robot, [motion], calibration, loaded=True)
+    np.testing.assert_array_equal(found.times_s, motion.times_s)
+    assert not found.clock_off
+    assert found.pace_std > 0.3
+    answer = identify_in_motion(twin.robot, [motion], [twin.empty], PayloadFacts())
+    assert answer.verdict is not Verdict.ACCEPTED or holds(answer, twin.payload_kg)
+
+
 def test_what_is_far_from_its_misfit_runs_off() -> None:
     assert Clock(0.73, 0.01, 0.0, 1e-3).runs_off
     assert not Clock(0.97, 0.01, 0.0, 1e-3).runs_off
