@@ -584,7 +584,21 @@ class Jobs:
         request: Request,
         chooser: Chooser | None = None,
     ) -> Path:
-        """As `_record`; where a busy computer let joint states pause, which says nothing of the arm, once more."""
+        """As `_record`; where a busy computer let joint states pause, which says nothing of the arm, once more.
+
+        Args:
+            job: Under which it is done.
+            kind: Part of the recording's name.
+            sequence: As the excitation node takes it.
+            request: With which the recording will be identified.
+            chooser: Chooses further pushes; None: there are none.
+
+        Returns:
+            The bag.
+
+        Raises:
+            JobError: The sequence did not end well, or the bag cannot be written.
+        """
         try:
             return self._record(job, kind, sequence, request, chooser)
         except JobError as error:
@@ -616,21 +630,7 @@ class Jobs:
         request: Request,
         chooser: Chooser | None,
     ) -> Path:
-        """Have a sequence made, listen to it, and keep what came; the bag is written however it ends.
-
-        Args:
-            job: Under which it is done.
-            kind: Part of the recording's name.
-            sequence: As the excitation node takes it.
-            request: With which the recording will be identified.
-            chooser: Chooses further pushes; None: there are none.
-
-        Returns:
-            The bag.
-
-        Raises:
-            JobError: The sequence did not end well, or the bag cannot be written.
-        """
+        """Have a sequence made, listen to it, and keep what came, as `record` does; the bag is written however it ends."""
         inputs = self._inputs
         job.progress.enter(CHECKING)
         inputs.catch_up()
