@@ -16,6 +16,7 @@ import numpy as np
 
 from proprio_ros.errors import ConfigurationError
 from proprio_ros.excitation import plans
+from proprio_ros.excitation.springs import springs_of
 from proprio_ros.robot import Robot
 from proprio_ros.robot.kinematics import bent_pose, clearance, zero_pose
 from proprio_ros.robot.loads import Load, Loads
@@ -33,7 +34,7 @@ CLEARANCE_M = 0.05
 LEAST_LEVER_M = 0.02  # a joint on which a weight has less of a lever does not weigh
 # of what gravity needs: with so much a joint begins to be lowered, and with less from attempt to attempt
 SUPPORT = 0.85
-STEP_RAD = 0.18  # of a goal
+STEP_RAD = 0.18  # of a goal, at most
 WORDS = {
     "empty": "with nothing in the hand",
     "payload": "with the object",
@@ -104,13 +105,17 @@ def first_sequence(robot: Robot, hand: str, held_kg: float = 0.0) -> plans.Excit
         raise ConfigurationError(f"{robot.name}: {words}, and payload_frame")
     loads = Loads(robot)
     runs: list[plans.ExcitationRun] = []
+    takes_goals = _takes_goals(robot)
     for name in best:
         longest, other = _two_poses(found[name], best)
-        for pose, lifts in ((longest, True), (longest, False), (other, True), (other, False)):
+        pushes = [(longest, True), (longest, False), (other, True), (other, False)]
+        if takes_goals:  # ways count, too: to and fro there are more of them
+            pushes = [(longest, True), (other, True), (longest, False), (other, False)]
+        for pose, lifts in pushes:
             start = {joint: pose[joint] for joint in found}
             up = math.copysign(1.0, lever_m(robot, name, pose)) * (1.0 if lifts else -1.0)
-            if _takes_goals(robot):
-                step = up * plans.margin(robot, name, STEP_RAD)
+            if takes_goals:
+                step = up * _largest_step(robot, name, loads.at(pose, held_kg))
                 runs.append(
                     plans.ExcitationRun(
                         name,
@@ -139,6 +144,13 @@ def first_sequence(robot: Robot, hand: str, held_kg: float = 0.0) -> plans.Excit
         description=f"lifts and lowers {' and '.join(best)} {WORDS[hand]}",
         min_clearance_m=CLEARANCE_M,
     )
+
+
+def _largest_step(robot: Robot, name: str, load: Load) -> float:
+    """Of a goal [rad or m]: a stiff servo, which would saturate, is pushed by a smaller one."""
+    usual = plans.margin(robot, name, STEP_RAD)
+    spring = springs_of(robot, [name]).get(name)
+    return usual if spring is None else min(usual, spring.largest_step(load.gravity[name]))
 
 
 def _takes_goals(robot: Robot) -> bool:

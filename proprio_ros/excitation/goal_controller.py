@@ -1,22 +1,21 @@
 """Pushes and holds an arm by a position controller of somebody else's driver: for servos that know no current.
 
 The servo's law is a soft spring, so an arm hangs below its goals. The goals sent are therefore ahead of those wanted: by what
-gravity takes, where the robot file states the law, and by a slow sum of what is missing where joints stand. What was sent is what
-is recorded. No clock, no ROS.
+gravity takes, where the robot file states the law, and by a slow sum of what is missing where joints stand. What that sum says of
+a load in the hand goes along from pose to pose. What was sent is what is recorded. No clock, no ROS.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
 from proprio_ros.errors import ExcitationError
 from proprio_ros.excitation.commands import Command
 from proprio_ros.excitation.controllers import Controller, Move
 from proprio_ros.excitation.plans import ExcitationSequence
+from proprio_ros.excitation.springs import springs_of
 from proprio_ros.robot import Robot
-from proprio_ros.robot.drives import PositionServo
 from proprio_ros.robot.kinematics import zero_pose
 from proprio_ros.robot.loads import Loads
 
@@ -47,13 +46,14 @@ class GoalController(Controller):
         self._limits = {
             name: (robot.model.joint(name).lower, robot.model.joint(name).upper) for name in joints
         }
-        self._springs = _springs(robot, self.joints)
+        self._springs = springs_of(robot, self.joints)
         self._loads = Loads(robot)
         self._pose = zero_pose(robot)
         self._wanted: dict[str, float] = {}
         self._stepped: dict[str, float] = {}
         self._sum = dict.fromkeys(self.joints, 0.0)
         self._lean = dict.fromkeys(self.joints, 0.0)
+        self._held_kg = 0.0
         self._rests_since_s = math.inf
         self._sent: dict[str, float] = {}
 
@@ -67,6 +67,10 @@ class GoalController(Controller):
         """The goals that were sent last; nothing where somebody else may send others [rad or m]."""
         return dict(self._sent) if self.holding else {}
 
+    @property
+    def held_kg(self) -> float:
+        return self._held_kg if self.holding else 0.0
+
     def check(self, sequence: ExcitationSequence) -> None:
         if not all(run.goal_step for run in sequence.runs):
             words = "pushes with currents, which a position controller does not take"
@@ -79,6 +83,7 @@ class GoalController(Controller):
         self._stepped = {}
         if not self.holding:
             self._sum = dict.fromkeys(self.joints, 0.0)
+            self._held_kg = 0.0
             self.take_here()
         self.holding = True
 
@@ -147,12 +152,37 @@ class GoalController(Controller):
                 wanted[name] = value
         if wanted == self._wanted:
             return
+        if self._rested:
+            self._attribute_sums()
         self._wanted = wanted
-        self._rests_since_s = max(self._time_s.values(), default=math.inf)
-        gravity = self._loads.at({**self._pose, **wanted}).gravity
+        self._rests_since_s = self._now_s
+        gravity = self._loads.at({**self._pose, **wanted}, self._held_kg).gravity
         for name, spring in self._springs.items():
             lean = gravity[name] / spring.stiffness
             self._lean[name] = math.copysign(min(abs(lean), spring.farthest), lean)
+
+    @property
+    def _now_s(self) -> float:
+        """Of the newest reading [s]."""
+        return max(self._time_s.values(), default=math.inf)
+
+    @property
+    def _rested(self) -> bool:
+        """Whether goals have rested for long enough that sums say what hangs at the joints."""
+        return self._now_s - self._rests_since_s >= REST_S
+
+    def _attribute_sums(self) -> None:
+        """Take what was summed up, as far as a load in the hand explains it, for such a load: elsewhere it has another lever."""
+        per_kg = self._loads.at({**self._pose, **self._wanted}).per_kg
+        pulls = {name: per_kg[name] / spring.stiffness for name, spring in self._springs.items()}
+        squares = sum(pull**2 for pull in pulls.values())
+        if squares <= 0.0:
+            return
+        more_kg = sum(pull * self._sum[name] for name, pull in pulls.items()) / squares
+        more_kg = max(more_kg, -self._held_kg)
+        self._held_kg += more_kg
+        for name, pull in pulls.items():
+            self._sum[name] -= more_kg * pull
 
     def _sum_up(self, name: str, time_s: float, step_s: float) -> None:
         """Where all should stand and this joint does, but elsewhere, something hangs at it."""
@@ -177,29 +207,3 @@ class GoalController(Controller):
         low, high = self._limits[name]
         ahead = wanted + self._lean[name] + self._sum[name]
         return max(low, min(high, ahead))
-
-
-@dataclass(frozen=True)
-class _Spring:
-    """A servo that follows its goal by a proportional law."""
-
-    stiffness: float  # [N m/rad or N/m]
-    farthest: float  # from the joint, the goal at which the duty is largest [rad or m]
-
-
-def _springs(robot: Robot, joints: Sequence[str]) -> dict[str, _Spring]:
-    """Of joints whose servo's law the robot file states."""
-    springs = {}
-    for name in joints:
-        drive = robot.drive_trains[name]
-        servo = drive.driven_by
-        if not isinstance(servo, PositionServo):
-            continue
-        if drive.supply_voltage_V <= 0.0 or drive.resistance_ohm <= 0.0:
-            continue
-        at_stall = drive.nominal_effort_per_current * drive.supply_voltage_V
-        springs[name] = _Spring(
-            stiffness=servo.gain_per_rad * (at_stall / drive.resistance_ohm),
-            farthest=servo.limit / servo.gain_per_rad,
-        )
-    return springs

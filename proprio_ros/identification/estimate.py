@@ -39,6 +39,7 @@ class Useful:
     | pushes: payload, sphere | `solver.wide_share`, 50 % | `solver.wide_floor_kg`, 5 g | `too_wide`: both ends are given |
     | softness | 50 % | none | `too_wide` |
     | motion of several joints, arm at rest | 50 % | 4 % of the arm's mass | `too_wide` |
+    | motion by goals and a servo's law | 20 % | 1 % of the arm's mass | `too_wide` |
     | one joint under a controller | 50 % | none | `not_identifiable`: no mass is stated |
     | calibration by motions, of a light object | 100 % | none | `not_identifiable` |
     | running estimate | 50 % | 10 g | no verdict: it is not known yet |
@@ -70,11 +71,19 @@ USEFUL_OF_ONE_JOINT = Useful(USEFUL_SHARE, verdict=Verdict.NOT_IDENTIFIABLE)
 USEFUL_OF_CALIBRATION = Useful(1.0, verdict=Verdict.NOT_IDENTIFIABLE)
 USEFUL_WHILE_RUNNING = Useful(USEFUL_SHARE, 0.01)
 USEFUL_OF_ARM = 0.04  # of the arm's own mass
+USEFUL_SHARE_BY_GOALS = 0.2
+USEFUL_OF_ARM_BY_GOALS = 0.01
+"""Torques that are made of goals were read up to half wrong where goals came late: what is left as wide as that is no answer."""
 
 
 def useful_in_motion(arm_kg: float) -> Useful:
     """For a mass weighed by an arm of so many kg, in motion or at rest."""
     return Useful(USEFUL_SHARE, USEFUL_OF_ARM * arm_kg)
+
+
+def useful_by_goals(arm_kg: float) -> Useful:
+    """For a mass weighed by an arm of so many kg whose torques are made of its servos' goals."""
+    return Useful(USEFUL_SHARE_BY_GOALS, USEFUL_OF_ARM_BY_GOALS * arm_kg)
 
 
 def not_negative(

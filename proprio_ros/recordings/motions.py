@@ -12,6 +12,7 @@ from proprio_ros.recordings.repeats import repeated
 from proprio_ros.recordings.sign_bits import hint_of
 from proprio_ros.recordings.unmeasured import Measured, measured_only
 from proprio_ros.records import STALL_CURRENT, BoolArray, FloatArray, Recording
+from proprio_ros.robot.drives import COMPUTED
 
 MOVED_RAD = 0.05
 """A joint that moves less than this in a whole recording stands still: its friction may carry any part of the load [rad]."""
@@ -51,6 +52,11 @@ class Motion:
     def made_of_goals(self) -> bool:
         """Whether the currents were not measured, but made of goals or duty cycles, and of the supply."""
         return self.source.startswith(STALL_CURRENT)
+
+    @property
+    def made_by_law(self) -> bool:
+        """Whether they were made of goals, by the servo's law: then they are wrong while a goal is late."""
+        return self.made_of_goals and COMPUTED in self.source
 
     @property
     def moved(self) -> tuple[str, ...]:

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from results import Results, each_answer, parser_of
+from support.foreign_arm import STIFFNESS_PER_RAD
 
 ASKED = 3
 MASSES_KG = (0.02, 0.2, 1.0)
@@ -85,12 +86,15 @@ def weighed(
     goals: bool,
     rate_hz: float,
     masses_kg: Sequence[float],
+    stiffness_per_rad: float,
 ) -> dict[str, Any]:
     """What came of one arm: how often it was asked to calibrate itself, and of each mass the answer and how often it was asked."""
     from support.foreign_live import foreign
 
     begun = time.process_time()
-    with foreign(folder, seed, goals, rate_hz) as (client, arm):
+    with foreign(
+        folder, seed, goals, rate_hz, stiffness_per_rad=stiffness_per_rad
+    ) as (client, arm):
 
         def once(what: str, kg: float) -> bool:
             arm.hold(kg)
@@ -106,6 +110,7 @@ def weighed(
     (folder / "excitation.log").write_text(log)
     return {
         **about(seed, goals, rate_hz, busy),
+        "stiffness_per_rad": stiffness_per_rad,
         **told,
         "cpu_s": round(time.process_time() - begun, 1),
     }
@@ -217,11 +222,19 @@ def main(arguments: Sequence[str] | None = None) -> int:
     )
     parser.add_argument("--goals", action="store_true")
     parser.add_argument("--rate", type=float, default=500.0)
+    parser.add_argument(
+        "--stiffness",
+        type=float,
+        nargs="+",
+        default=[STIFFNESS_PER_RAD],
+        metavar="PER_RAD",
+    )
     parser.add_argument("--data", type=Path)
     parser.add_argument("--told", type=Path, nargs="+", metavar="LOG")
     given = parser.parse_args(arguments)
     found = logged(given.told or ())
     for seed in () if given.told else range(given.seeds[0], given.seeds[0] + given.seeds[1]):
+        stiffness_per_rad = given.stiffness[seed % len(given.stiffness)]
         folder = (given.data or Path(tempfile.mkdtemp())) / f"seed{seed}"
         folder.mkdir(parents=True, exist_ok=True)
         found.append(
@@ -231,6 +244,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 given.goals,
                 given.rate,
                 given.masses,
+                stiffness_per_rad,
             )
         )
         print(json.dumps(found[-1]), flush=True)

@@ -30,8 +30,12 @@ START = {"shoulder": -0.9, "elbow": 0.8, "wrist": 0.2}
 LOADING_S = 1.5  # a person lets go of what is put into the hand that slowly
 # of the position controller, as shares of the largest torque
 STIFFNESS_PER_RAD = 4.0
-DAMPING_S_PER_RAD = 0.35
 COUNT_RAD = 2.0 * math.pi / 2**15
+
+
+def damping_s_per_rad(stiffness_per_rad: float) -> float:
+    """Of a position controller that is about as well damped whatever its stiffness, as a share of the largest torque."""
+    return 0.175 * math.sqrt(stiffness_per_rad)
 
 
 def urdf() -> str:
@@ -85,6 +89,7 @@ class ForeignArm:
         seed: Says what the arm is really like, and what the computer does.
         goals: Whether it takes goals [rad] instead of torques [N m].
         busy: Of the computer; None: as the seed says.
+        stiffness_per_rad: Of the position controller, as a share of the largest torque.
     """
 
     def __init__(
@@ -92,8 +97,11 @@ class ForeignArm:
         seed: int,
         goals: bool = False,
         busy: Busy | None = None,
+        stiffness_per_rad: float = STIFFNESS_PER_RAD,
     ) -> None:
         import mujoco
+
+        self.stiffness_per_rad = stiffness_per_rad
 
         self.mujoco = mujoco
         self.goals = goals
@@ -193,8 +201,8 @@ class ForeignArm:
             torque = self._wanted
             if self.goals:
                 torque = limits * (
-                    STIFFNESS_PER_RAD * (self._wanted - self.data.qpos)
-                    - DAMPING_S_PER_RAD * self.data.qvel
+                    self.stiffness_per_rad * (self._wanted - self.data.qpos)
+                    - damping_s_per_rad(self.stiffness_per_rad) * self.data.qvel
                 )
             possible = np.minimum(np.maximum(torque, -limits), limits)
             self.data.qfrc_applied[:] = self.scale * possible

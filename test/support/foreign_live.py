@@ -17,13 +17,13 @@ from proprio_ros.cli import main as proprio
 from proprio_ros.nodes.messages import values_of
 from support.foreign_arm import (
     BROADCAST,
-    DAMPING_S_PER_RAD,
     EFFORT_N_M,
     JOINTS,
     ORDER,
     STIFFNESS_PER_RAD,
     Busy,
     ForeignArm,
+    damping_s_per_rad,
     write_urdf,
 )
 from support.simulated_live import Client
@@ -80,22 +80,27 @@ class ForeignProcess:
             self._states.publish(message)
 
 
-def state_servos(robot: Path) -> None:
+def state_servos(robot: Path, stiffness_per_rad: float) -> None:
     """What its owner knows of the position controller: stiffness and damping of each joint, as shares of its largest torque."""
     text = robot.read_text()
     for name in JOINTS:
         head, of, rest = text.partition(f"\n  {name}:")
         for key, value in {
-            "supply_voltage_V": SUPPLY_V, "back_emf_V_s_per_rad": DAMPING_S_PER_RAD * SUPPLY_V,
+            "supply_voltage_V": SUPPLY_V, "back_emf_V_s_per_rad": damping_s_per_rad(stiffness_per_rad) * SUPPLY_V,
             "resistance_ohm": SUPPLY_V / EFFORT_N_M[name],
-            "driven_by": f"{{kind: position_servo, gain_per_rad: {STIFFNESS_PER_RAD}}}",
+            "driven_by": f"{{kind: position_servo, gain_per_rad: {stiffness_per_rad}}}",
         }.items():  # fmt: skip
             rest = re.sub(rf"\b{key}: \S+", f"{key}: {value}", rest, count=1)
         text = head + of + rest
     robot.write_text(text)
 
 
-def nodes_of(folder: Path, goals: bool, **facts: Any) -> dict[str, dict[str, Any]]:
+def nodes_of(
+    folder: Path,
+    goals: bool,
+    stiffness_per_rad: float = STIFFNESS_PER_RAD,
+    **facts: Any,
+) -> dict[str, dict[str, Any]]:
     """Parameters of excitation and identifier, by the arm's URDF alone; ``facts`` are further ones of the identifier."""
     robot = folder / "foreign.yaml"
     urdf = write_urdf(folder)
@@ -106,7 +111,7 @@ def nodes_of(folder: Path, goals: bool, **facts: Any) -> dict[str, dict[str, Any
         == 0
     )
     if goals:
-        state_servos(robot)
+        state_servos(robot, stiffness_per_rad)
     stated = ["payload.com=[0,0,0]", "payload.shape=point"]
     identifier = {
         "calibration": "none", "robot": robot, "reference_mass": REFERENCE_KG, "reference_wait": 3.0, "settings": stated,
@@ -129,16 +134,17 @@ def foreign(
     goals: bool = False,
     rate_hz: float = 500.0,
     busy: Busy | None = None,
+    stiffness_per_rad: float = STIFFNESS_PER_RAD,
     **facts: Any,
 ) -> Iterator[tuple[Client, ForeignArm]]:
     """The arm, excitation and identifier; in its hand is what the identifier asks for, and what `ForeignArm.hold` was told."""
     with world(
         folder / "data",
         seed=seed,
-        nodes=nodes_of(folder, goals, **facts),
+        nodes=nodes_of(folder, goals, stiffness_per_rad, **facts),
         only=("excitation", "identifier"),
     ) as made:
-        arm = ForeignArm(seed, goals, busy)
+        arm = ForeignArm(seed, goals, busy, stiffness_per_rad)
         process = ForeignProcess(made, arm, rate_hz)
         client = Client(made)
         client.hear_less()

@@ -63,6 +63,7 @@ from proprio_ros.identification.regression.solve import (
 )
 from proprio_ros.identification.regression.traces import Explained
 from proprio_ros.identification.regression.trends import Trend, trend_of
+from proprio_ros.identification.regression.unheard import heard_in_time
 from proprio_ros.recordings.motions import Motion
 from proprio_ros.records import FloatArray
 from proprio_ros.robot import Robot
@@ -129,6 +130,7 @@ class MotionFit:
     # what the mass is too large by per part that all these torques are read too large by, if nothing shows that
     louder_kg: float
     tells: FloatArray  # how much of what is known of the mass each joint tells, shape (n,), sum 1
+    late_share: float  # of the windows, that were left out since their goals came late
     shown: tuple[JointFit, ...]  # torque over time, for a picture
     spread_evidence: (
         FloatArray  # logarithm of how likely each of `PAIRS` of spreads makes it, shape (F,)
@@ -273,6 +275,7 @@ def learn_arm(
         better_s=50.0,
     )
     priors = priors_of_file(robot, arm, len(motions))
+    problem = heard_in_time(problem, priors, motions)
     solution, spread_evidence = _solved_empty(problem, priors)
     mean = _mean_of_runs(problem)
     variability = _friction_variability(problem, solution)
@@ -488,6 +491,9 @@ def fit_payload(
         place,
     )
     _refuse_other_joints(loaded, problem, calibration)
+    priors = _priors(arm, calibration, motions, centre)
+    everything = len(problem.torque)
+    problem = heard_in_time(problem, priors, motions, calibration)
     carrying = problem.carrying
     stretches = problem.stretches_of(
         carrying,
@@ -495,7 +501,6 @@ def fit_payload(
         better_s=15.0,
         least=least,
     )
-    priors = _priors(arm, calibration, motions, centre)
     followed = solve_following(problem, priors, calibration)
     solution = followed.estimate
     tells = _weight_by_joint(problem, calibration.residual, calibration.correlation)
@@ -522,6 +527,7 @@ def fit_payload(
         off={kind: _of_its_own(problem, followed.opened, kind) for kind in ("zero", "own_scale")},
         louder_kg=scale * _follows_torque(problem, solution),
         tells=tells,
+        late_share=1.0 - len(problem.torque) / everything,
         shown=_shown(problem, solution, calibration, loaded),
         spread_evidence=followed.log_likelihood,
         evidence_of_more=followed.log_likelihood_of_more,

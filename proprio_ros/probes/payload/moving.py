@@ -23,6 +23,7 @@ from proprio_ros.identification.estimate import (
     JointFit,
     Value,
     Verdict,
+    useful_by_goals,
     useful_in_motion,
 )
 from proprio_ros.identification.judge import (
@@ -258,7 +259,7 @@ def _identified(
         chain(
             weighing.arm_refusals(robot),
             _refusals(followed, fit, weighing.known),
-            _too_wide(fit),
+            _too_wide(fit, followed[0].made_by_law),
         )
     )
     as_stamped = (motions, baseline)
@@ -289,6 +290,7 @@ def _identified(
         beside=weighing.baseline,
         notes=(
             *refusals.moved_only_loaded(fit),
+            *refusals.heard_late(fit),
             *refusals.passed_over(fit.joints, fit.tells, fit.unexplained, motions[0]),
             *(() if refusal.withheld else by_one_more(robot, weighing.calibration, fit)),
         ),
@@ -577,14 +579,20 @@ def _louder(fit: MotionFit) -> str:
     return f"torques are read as with the empty hand: were all 10 % larger, the mass would err by up to {much}; this motion {shows}"
 
 
-def _too_wide(fit: MotionFit) -> Iterator[Refusal]:
-    """Why an answer that nothing else speaks against is not accepted."""
+def _too_wide(fit: MotionFit, by_goals: bool) -> Iterator[Refusal]:
+    """Why an answer that nothing else speaks against is not accepted; ``by_goals``: whether its torques are made of goals."""
     half = fit.half_width
     useful = useful_in_motion(fit.arm_kg)
+    cure = (
+        f"move faster and through more attitudes of the hand, longer than the {STRETCH_S * fit.stretches:.0f} s used here, and "
+        "record the empty hand in the same motion"
+    )
+    if by_goals:
+        useful = useful_by_goals(fit.arm_kg)
+        cure = "keep the computer that hands goals on free, weigh again, and calibrate with a reference as heavy as the load"
     if useful.exceeded_by(float(fit.values[0]), half):
         sentence = (
-            f"this motion determines the mass only to +-{shown('kg', half, spec='.0f')}: move faster and through more attitudes of "
-            f"the hand, longer than the {STRETCH_S * fit.stretches:.0f} s used here, and record the empty hand in the same motion"
+            f"this motion determines the mass only to +-{shown('kg', half, spec='.0f')}: {cure}"
         )
         yield wide(useful, sentence)
 
