@@ -3,16 +3,19 @@
 In simulated time, see test/support/foreign_live.py. A calibration and a weighing are asked for three times at most.
 
 python test/benchmarks/foreign_controller.py --seeds 0 20 [--goals --rate 30] [--masses 0.02 0.2 1.0] [--json FILE]
+python test/benchmarks/foreign_controller.py --seeds 0 20 --goals --rate 100 --masses 0.2 0.5 1.0 --stiffness 1 2 4 8 12 16
 python test/benchmarks/foreign_controller.py --told LOG.. --json FILE     # of what such runs have printed
 """
 
 from __future__ import annotations
 
 import json
+import math
 import tempfile
 import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from statistics import median
 from typing import Any
 
 from results import Results, each_answer, parser_of
@@ -92,9 +95,10 @@ def weighed(
     from support.foreign_live import foreign
 
     begun = time.process_time()
-    with foreign(
-        folder, seed, goals, rate_hz, stiffness_per_rad=stiffness_per_rad
-    ) as (client, arm):
+    with foreign(folder, seed, goals, rate_hz, stiffness_per_rad=stiffness_per_rad) as (
+        client,
+        arm,
+    ):
 
         def once(what: str, kg: float) -> bool:
             arm.hold(kg)
@@ -149,6 +153,28 @@ def held(known: Sequence[dict[str, Any]]) -> dict[str, Any]:
     }
 
 
+def tell_of_stiffnesses(results: Results, found: Sequence[dict[str, Any]]) -> None:
+    """A row for each stiffness of position servos."""
+    results.table("stiffnesses", {
+        "largest torques per rad": "{servo:g}", "arms": "{arms}", "answered at the first try": "{first} of {asked}",
+        "intervals that hold": "{hold}", "half width at 500 g, median": "{half_g:.0f} g",
+    })  # fmt: skip
+    for servo in sorted({each["stiffness_per_rad"] for each in found}):
+        mine = [each for each in found if each["stiffness_per_rad"] == servo]
+        weighed = [one for each in mine for one in each["masses"]]
+        known = [one for one in weighed if one["known"]]
+        halves_g = [1e3 * (one["high"] - one["value"]) for one in known if one["kg"] == 0.5]
+        results.row(
+            "stiffnesses",
+            servo=servo,
+            arms=len(mine),
+            first=sum(one["known"] and one["asked"] == 1 for one in weighed),
+            asked=len(weighed),
+            half_g=median(halves_g) if halves_g else math.nan,
+            **held(known),
+        )
+
+
 def tell(
     found: Sequence[dict[str, Any]],
     script: str,
@@ -190,6 +216,8 @@ def tell(
         "intervals that hold": "{hold}", "farthest, in sd": "{farthest:.1f}",
     })  # fmt: skip
     results.row("all", **whole)
+    if len({each.get("stiffness_per_rad") for each in found}) > 1:
+        tell_of_stiffnesses(results, found)
     results.keep()
 
 

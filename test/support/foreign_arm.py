@@ -10,6 +10,7 @@ of its own, over DDS: test/benchmarks/foreign_process.py.
 from __future__ import annotations
 
 import math
+import re
 from collections import deque
 from dataclasses import dataclass
 from pathlib import Path
@@ -30,6 +31,7 @@ START = {"shoulder": -0.9, "elbow": 0.8, "wrist": 0.2}
 LOADING_S = 1.5  # a person lets go of what is put into the hand that slowly
 # of the position controller, as shares of the largest torque
 STIFFNESS_PER_RAD = 4.0
+SUPPLY_V = 12.0  # any: torque goes with the share of it
 COUNT_RAD = 2.0 * math.pi / 2**15
 
 
@@ -224,3 +226,18 @@ def write_urdf(folder: Path) -> Path:
     path = folder / "foreign.urdf"
     path.write_text(urdf(), encoding="utf-8")
     return path
+
+
+def state_servos(robot: Path, stiffness_per_rad: float) -> None:
+    """What its owner knows of the position controller: stiffness and damping of each joint, as shares of its largest torque."""
+    text = robot.read_text()
+    for name in JOINTS:
+        head, of, rest = text.partition(f"\n  {name}:")
+        for key, value in {
+            "supply_voltage_V": SUPPLY_V, "back_emf_V_s_per_rad": damping_s_per_rad(stiffness_per_rad) * SUPPLY_V,
+            "resistance_ohm": SUPPLY_V / EFFORT_N_M[name],
+            "driven_by": f"{{kind: position_servo, gain_per_rad: {stiffness_per_rad}}}",
+        }.items():  # fmt: skip
+            rest = re.sub(rf"\b{key}: \S+", f"{key}: {value}", rest, count=1)
+        text = head + of + rest
+    robot.write_text(text)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import math
-import re
 from array import array
 from collections.abc import Iterator
 from pathlib import Path
@@ -17,20 +16,17 @@ from proprio_ros.cli import main as proprio
 from proprio_ros.nodes.messages import values_of
 from support.foreign_arm import (
     BROADCAST,
-    EFFORT_N_M,
-    JOINTS,
     ORDER,
     STIFFNESS_PER_RAD,
     Busy,
     ForeignArm,
-    damping_s_per_rad,
+    state_servos,
     write_urdf,
 )
 from support.simulated_live import Client
 from support.simulated_world import World, world
 
 REFERENCE_KG = 0.5
-SUPPLY_V = 12.0  # any: torque goes with the share of it
 
 
 class ForeignProcess:
@@ -78,21 +74,6 @@ class ForeignProcess:
             )
             message.header.stamp = self.node.get_clock().now().to_msg()
             self._states.publish(message)
-
-
-def state_servos(robot: Path, stiffness_per_rad: float) -> None:
-    """What its owner knows of the position controller: stiffness and damping of each joint, as shares of its largest torque."""
-    text = robot.read_text()
-    for name in JOINTS:
-        head, of, rest = text.partition(f"\n  {name}:")
-        for key, value in {
-            "supply_voltage_V": SUPPLY_V, "back_emf_V_s_per_rad": damping_s_per_rad(stiffness_per_rad) * SUPPLY_V,
-            "resistance_ohm": SUPPLY_V / EFFORT_N_M[name],
-            "driven_by": f"{{kind: position_servo, gain_per_rad: {stiffness_per_rad}}}",
-        }.items():  # fmt: skip
-            rest = re.sub(rf"\b{key}: \S+", f"{key}: {value}", rest, count=1)
-        text = head + of + rest
-    robot.write_text(text)
 
 
 def nodes_of(

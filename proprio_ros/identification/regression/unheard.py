@@ -1,9 +1,9 @@
 """Windows in which servos did not follow the goals that were recorded: a busy computer hands a goal on late.
 
-The torque of a stiff servo is made of small distances between goal and joint. A goal that is in effect 50 ms after its stamp, while
-goals move on at 0.5 rad/s, makes a torque of tens of N m that was never there, for as long as the computer was held up. When goals
-came into effect is judged by what the joints did: windows whose torque the fit of all others contradicts are left out. Where that is
-more than a few, it is no late goal, and all count.
+The torque of a stiff servo is made of small distances between goal and joint. A goal that is in effect 50 ms after its stamp,
+while goals move on at 0.5 rad/s, makes a torque of tens of N m that was never there, for as long as the computer was held up.
+When goals came into effect is judged by what the joints did: windows whose torque the fit of all others contradicts are left
+out. Where that is more than a few, it is no late goal, and all count.
 """
 
 from __future__ import annotations

@@ -335,6 +335,9 @@ def _with_what_is_wrong(
     """
     motions = weighing.motions
     known = weighing.known
+    if refusal.verdict is Verdict.TOO_WIDE and motions[0].made_by_law:
+        # all is explained but for goals that were late, which would be taken for something else here
+        return refusal, weighing
     search = partial(weighing.fitted, robot, stated=False)
     named = _each_by_itself(refusal, motions, search, known)
     if named is not refusal:
