@@ -36,7 +36,6 @@ LABELS: Mapping[str, str] = {
     "foreign_goals_100.all": "goals at 100 Hz",
     "foreign_goals_30.all": "goals at 30 Hz",
     "foreign_stiff.all": "goals, servos of six stiffnesses",
-    "foreign_stiff.stiffnesses": "goals, {servo:g} largest torques per rad",
     "foreign_load.all": "currents, as the load says",
     "foreign_load_goals_100.all": "goals at 100 Hz, as the load says",
     "foreign_load_goals_30.all": "goals at 30 Hz, as the load says",

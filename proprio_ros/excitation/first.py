@@ -98,45 +98,22 @@ def first_sequence(robot: Robot, hand: str, held_kg: float = 0.0) -> plans.Excit
         longest = max((abs(lever) for lever, _ in found[name]), default=0.0)
         return longest / plans.largest_current_A(robot, name)
 
-    with_poses = [name for name, poses in found.items() if poses]
-    best = sorted(with_poses, key=shows, reverse=True)[:JOINTS]
+    best = sorted((name for name in found if found[name]), key=shows, reverse=True)[:JOINTS]
     if not best:
         words = "no joint that a motor turns feels a weight in the hand where there is room for a push: state sequences"
         raise ConfigurationError(f"{robot.name}: {words}, and payload_frame")
     loads = Loads(robot)
     runs: list[plans.ExcitationRun] = []
-    takes_goals = _takes_goals(robot)
+    by_goals = _takes_goals(robot)
     for name in best:
-        longest, other = _two_poses(found[name], best)
-        pushes = [(longest, True), (longest, False), (other, True), (other, False)]
-        if takes_goals:  # ways count, too: to and fro there are more of them
-            pushes = [(longest, True), (other, True), (longest, False), (other, False)]
-        for pose, lifts in pushes:
+        for pose, lifts in _places(_two_poses(found[name], best), by_goals):
             start = {joint: pose[joint] for joint in found}
             up = math.copysign(1.0, lever_m(robot, name, pose)) * (1.0 if lifts else -1.0)
-            if takes_goals:
-                step = up * _largest_step(robot, name, loads.at(pose, held_kg))
-                runs.append(
-                    plans.ExcitationRun(
-                        name,
-                        0.0,
-                        DURATION_S,
-                        start,
-                        goal_step=step,
-                    )
-                )
+            load = loads.at(pose, held_kg)
+            if by_goals:
+                runs.append(_step(robot, name, start, up, load))
             else:
-                load = loads.at(pose, held_kg)
-                runs.append(
-                    _push(
-                        robot,
-                        name,
-                        start,
-                        up,
-                        lifts,
-                        load,
-                    )
-                )
+                runs.append(_push(robot, name, start, up, lifts, load))
     return plans.ExcitationSequence(
         name=f"first_{hand}",
         hand=hand,
@@ -146,11 +123,25 @@ def first_sequence(robot: Robot, hand: str, held_kg: float = 0.0) -> plans.Excit
     )
 
 
-def _largest_step(robot: Robot, name: str, load: Load) -> float:
-    """Of a goal [rad or m]: a stiff servo, which would saturate, is pushed by a smaller one."""
-    usual = plans.margin(robot, name, STEP_RAD)
+def _places(
+    poses: tuple[dict[str, float], dict[str, float]], by_goals: bool
+) -> Sequence[tuple[dict[str, float], bool]]:
+    """Where a joint is pushed, and whether that lifts."""
+    longest, other = poses
+    if by_goals:  # ways count, too: to and fro there are more of them
+        return (longest, True), (other, True), (longest, False), (other, False)
+    return (longest, True), (longest, False), (other, True), (other, False)
+
+
+def _step(
+    robot: Robot, name: str, start: Mapping[str, float], up: float, load: Load
+) -> plans.ExcitationRun:
+    """A step of a joint's goal, ``up`` its sign; a stiff servo, which would saturate, is pushed by a smaller one."""
+    size = plans.margin(robot, name, STEP_RAD)
     spring = springs_of(robot, [name]).get(name)
-    return usual if spring is None else min(usual, spring.largest_step(load.gravity[name]))
+    if spring is not None:
+        size = min(size, spring.largest_step(load.gravity[name]))
+    return plans.ExcitationRun(name, 0.0, DURATION_S, start, goal_step=up * size)
 
 
 def _takes_goals(robot: Robot) -> bool:

@@ -171,7 +171,7 @@ def tell_of_stiffnesses(results: Results, found: Sequence[dict[str, Any]]) -> No
             first=sum(one["known"] and one["asked"] == 1 for one in weighed),
             asked=len(weighed),
             half_g=median(halves_g) if halves_g else math.nan,
-            **held(known),
+            hold=held(known)["hold"],
         )
 
 

@@ -549,6 +549,7 @@ class Problem:
     counted: FloatArray  # as what share of itself each counts, see `long_motions`, shape (E,)
     loaded: int  # so many motions, the first ones, hold the payload
     count: int  # of joints, n
+    late_share: float = 0.0  # of all windows, that were left out since their goals came late
 
     @classmethod
     def of(
@@ -604,7 +605,7 @@ class Problem:
         arrays = {
             field.name: getattr(self, field.name)[kept]
             for field in fields(self)
-            if field.name not in ("loaded", "count")
+            if field.name not in ("loaded", "count", "late_share")
         }
         return replace(self, **arrays)
 

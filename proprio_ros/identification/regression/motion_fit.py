@@ -130,7 +130,6 @@ class MotionFit:
     # what the mass is too large by per part that all these torques are read too large by, if nothing shows that
     louder_kg: float
     tells: FloatArray  # how much of what is known of the mass each joint tells, shape (n,), sum 1
-    late_share: float  # of the windows, that were left out since their goals came late
     shown: tuple[JointFit, ...]  # torque over time, for a picture
     spread_evidence: (
         FloatArray  # logarithm of how likely each of `PAIRS` of spreads makes it, shape (F,)
@@ -482,18 +481,8 @@ def fit_payload(
         calibration.joints,
         dict(motions[0].held),
     )
-    place = None if centre is None else centre[0]
-    problem = problem_of(
-        robot,
-        motions,
-        calibration.joints,
-        len(loaded),
-        place,
-    )
-    _refuse_other_joints(loaded, problem, calibration)
     priors = _priors(arm, calibration, motions, centre)
-    everything = len(problem.torque)
-    problem = heard_in_time(problem, priors, motions, calibration)
+    problem = _payload_problem(robot, loaded, motions, calibration, priors, centre)
     carrying = problem.carrying
     stretches = problem.stretches_of(
         carrying,
@@ -527,7 +516,6 @@ def fit_payload(
         off={kind: _of_its_own(problem, followed.opened, kind) for kind in ("zero", "own_scale")},
         louder_kg=scale * _follows_torque(problem, solution),
         tells=tells,
-        late_share=1.0 - len(problem.torque) / everything,
         shown=_shown(problem, solution, calibration, loaded),
         spread_evidence=followed.log_likelihood,
         evidence_of_more=followed.log_likelihood_of_more,
@@ -537,6 +525,21 @@ def fit_payload(
         calibration=calibration,
         solution=solution,
     )
+
+
+def _payload_problem(
+    robot: Robot,
+    loaded: Sequence[Motion],
+    motions: Sequence[Motion],
+    calibration: MotionCalibration,
+    priors: Priors,
+    centre: Centre | None,
+) -> Problem:
+    """The equations of motions, of which the first ones hold the payload; as `fit_payload` has them."""
+    place = None if centre is None else centre[0]
+    problem = problem_of(robot, motions, calibration.joints, len(loaded), place)
+    _refuse_other_joints(loaded, problem, calibration)
+    return heard_in_time(problem, priors, motions, calibration)
 
 
 def _of_moved(residual: FloatArray) -> FloatArray:

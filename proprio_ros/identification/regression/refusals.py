@@ -68,9 +68,9 @@ def moved_only_loaded(fit: MotionFit) -> tuple[str, ...]:
 
 def heard_late(fit: MotionFit) -> tuple[str, ...]:
     """A sentence about goals that were late."""
-    if fit.late_share == 0.0:
+    if fit.problem.late_share == 0.0:
         return ()
-    share = f"{100.0 * fit.late_share:.1f} %"
+    share = f"{100.0 * fit.problem.late_share:.1f} %"
     return (
         f"goals came into effect late in {share} of the windows, as the joints show: these were left out",
     )

@@ -9,6 +9,7 @@ out. Where that is more than a few, it is no late goal, and all count.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,7 +50,9 @@ def heard_in_time(
         if not late.any():
             break
         left = left.only(~late)
-    return left if _are_few(problem, left) else problem
+    if not _are_few(problem, left):
+        return problem
+    return replace(left, late_share=1.0 - len(left.torque) / len(problem.torque))
 
 
 def _late(problem: Problem, residual: FloatArray) -> NDArray[np.bool_]:
