@@ -153,10 +153,14 @@ def held(known: Sequence[dict[str, Any]]) -> dict[str, Any]:
     }
 
 
-def tell_of_stiffnesses(results: Results, found: Sequence[dict[str, Any]]) -> None:
-    """A row for each stiffness of position servos."""
+def tell_of_stiffnesses(
+    results: Results,
+    found: Sequence[dict[str, Any]],
+    masses: int,
+) -> None:
+    """A row for each stiffness of position servos, by which so many masses were asked for."""
     results.table("stiffnesses", {
-        "largest torques per rad": "{servo:g}", "arms": "{arms}", "answered at the first try": "{first} of {asked}",
+        "largest torques per rad": "{servo:g}", "arms": "{arms}", "calibrated": "{calibrated}", "answered at the first try": "{first} of {asked}",
         "intervals that hold": "{hold}", "half width at 500 g, median": "{half_g:.0f} g",
     })  # fmt: skip
     for servo in sorted({each["stiffness_per_rad"] for each in found}):
@@ -168,8 +172,9 @@ def tell_of_stiffnesses(results: Results, found: Sequence[dict[str, Any]]) -> No
             "stiffnesses",
             servo=servo,
             arms=len(mine),
+            calibrated=sum(each["robot"] for each in mine),
             first=sum(one["known"] and one["asked"] == 1 for one in weighed),
-            asked=len(weighed),
+            asked=masses * len(mine),
             half_g=median(halves_g) if halves_g else math.nan,
             hold=held(known)["hold"],
         )
@@ -217,7 +222,7 @@ def tell(
     })  # fmt: skip
     results.row("all", **whole)
     if len({each.get("stiffness_per_rad") for each in found}) > 1:
-        tell_of_stiffnesses(results, found)
+        tell_of_stiffnesses(results, found, len(masses_kg))
     results.keep()
 
 
