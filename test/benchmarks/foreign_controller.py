@@ -160,7 +160,8 @@ def tell_of_stiffnesses(
 ) -> None:
     """A row for each stiffness of position servos, by which so many masses were asked for."""
     results.table("stiffnesses", {
-        "largest torques per rad": "{servo:g}", "arms": "{arms}", "calibrated": "{calibrated}", "answered at the first try": "{first} of {asked}",
+        "largest torques per rad": "{servo:g}", "arms": "{arms}", "calibrated": "{calibrated}",
+        "answered at the first try": "{first} of {asked}",
         "intervals that hold": "{hold}", "half width at 500 g, median": "{half_g:.0f} g",
     })  # fmt: skip
     for servo in sorted({each["stiffness_per_rad"] for each in found}):
