@@ -111,7 +111,15 @@ def first_sequence(robot: Robot, hand: str, held_kg: float = 0.0) -> plans.Excit
             up = math.copysign(1.0, lever_m(robot, name, pose)) * (1.0 if lifts else -1.0)
             load = loads.at(pose, held_kg)
             if by_goals:
-                runs.append(_step(robot, name, start, up, load))
+                runs.append(
+                    _step(
+                        robot,
+                        name,
+                        start,
+                        up,
+                        load,
+                    )
+                )
             else:
                 runs.append(_push(robot, name, start, up, lifts, load))
     return plans.ExcitationSequence(
@@ -141,7 +149,13 @@ def _step(
     spring = springs_of(robot, [name]).get(name)
     if spring is not None:
         size = min(size, spring.largest_step(load.gravity[name]))
-    return plans.ExcitationRun(name, 0.0, DURATION_S, start, goal_step=up * size)
+    return plans.ExcitationRun(
+        name,
+        0.0,
+        DURATION_S,
+        start,
+        goal_step=up * size,
+    )
 
 
 def _takes_goals(robot: Robot) -> bool:

@@ -482,7 +482,14 @@ def fit_payload(
         dict(motions[0].held),
     )
     priors = _priors(arm, calibration, motions, centre)
-    problem = _payload_problem(robot, loaded, motions, calibration, priors, centre)
+    problem = _payload_problem(
+        robot,
+        loaded,
+        motions,
+        calibration,
+        priors,
+        centre,
+    )
     carrying = problem.carrying
     stretches = problem.stretches_of(
         carrying,
@@ -537,7 +544,13 @@ def _payload_problem(
 ) -> Problem:
     """The equations of motions, of which the first ones hold the payload; as `fit_payload` has them."""
     place = None if centre is None else centre[0]
-    problem = problem_of(robot, motions, calibration.joints, len(loaded), place)
+    problem = problem_of(
+        robot,
+        motions,
+        calibration.joints,
+        len(loaded),
+        place,
+    )
     _refuse_other_joints(loaded, problem, calibration)
     return heard_in_time(problem, priors, motions, calibration)
 
