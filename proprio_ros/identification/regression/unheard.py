@@ -41,6 +41,9 @@ def heard_in_time(
         priors: Of its unknowns.
         motions: In its order.
         known: By which residuals are known.
+
+    Returns:
+        Those that are left, with what share of all was left out.
     """
     if not motions[0].made_by_law:
         return problem
