@@ -50,7 +50,7 @@ LABELS: Mapping[str, str] = {
     "simulated.container, not calibrated": "sphere, {level}, not calibrated",
     "simulated.blocks": "block, {recordings}",
     "so101.so101": "{held}",
-    "spheres.spheres": "{runs}",
+    "spheres.spheres": "torque {torque:g} mN m, {runs}",
     "squeezes.squeezes": "{kPa:g} kPa, {ratio:g}",
     "whose_calibration_driven.pairs": "{pair}",
     "whose_calibration_real_swings.pairs": "{pair}",

@@ -25,6 +25,7 @@ from proprio_ros.identification.robot_unknowns import (
     RISE,
     robot_unknowns,
 )
+from proprio_ros.identification.scatter import rms_spread
 from proprio_ros.identification.swings import (
     MISSED_SHARE,
     missed_share,
@@ -44,7 +45,7 @@ EVIDENCE_ROUNDS = 15
 SWING_ITERATIONS = 60
 """Of the solver on free swings at most. Where a joint comes to a stop the cost has kinks, at which a step overshoots: the search
 must go on with shorter ones, or it ends where it has not arrived, and takes what it misses for the swings' noise."""
-PSEUDO_RUNS = 2.0  # weight of the robot file's word on run-to-run torque, in runs
+PSEUDO_RUNS = 2.0  # weight of the robot file's word on what else differs from run to run, in runs
 # weight of the robot file's word on encoder noise and stamp jitter, in samples
 PSEUDO_SAMPLES = 10.0
 ALIKE_S, FEWEST_ALIKE = 0.05, 4
@@ -280,7 +281,6 @@ def _evidence(
     spreads = {
         kind: spread_of_runs(usual, *of_runs(kind, problem, posterior)[1:])
         for kind, usual in (
-            ("disturbance", robot.torque_disturbance),
             ("v0", robot.start_velocity),
             ("onset", robot.onset_jitter_s),
         )
@@ -289,9 +289,29 @@ def _evidence(
     return Noise(
         float(np.sqrt(scale2)) * alike,
         float(np.sqrt(jitter2)) * alike,
-        spreads["disturbance"],
+        _torque_spread(robot, problem, posterior),
         spreads["v0"],
         max(spreads["onset"], robot.onset_jitter_s),
+    )
+
+
+def _torque_spread(robot: Robot, problem: Problem, posterior: Posterior) -> float:
+    """By how much torque differs from run to run [N m], the robot file's word being the scale of its prior."""
+    rows, found, _ = of_runs("disturbance", problem, posterior)
+    stated = robot.torque_disturbance
+    if stated == 0.0 or not rows:
+        return stated
+    place = problem.estimated.tolist()
+    indices = [problem.index["disturbance", row] for row in rows]
+    columns = [place.index(index) for index in indices]
+    prior = np.square([problem.unknowns[index].std for index in indices])
+    known = np.square([problem.runs[row].current_torque_std for row in rows])
+    return rms_spread(
+        stated,
+        known,
+        found,
+        posterior.covariance[np.ix_(columns, columns)],
+        prior,
     )
 
 

@@ -11,7 +11,13 @@ from typing import Any
 import numpy as np
 
 from proprio_ros.errors import ConfigurationError, ProprioError, RecordingError, RobotError
-from proprio_ros.experiment_design.predicted_mass import mass_from_motion, mass_from_run
+from proprio_ros.experiment_design.predicted_mass import (
+    OneMore,
+    mass_from_motion,
+    mass_from_run,
+    more_of_motion,
+    more_of_run,
+)
 from proprio_ros.identification.gates import MIN_USED, UNMOVED_RAD, Findings, screen_run, unusable
 from proprio_ros.identification.prepared_runs import KnownLoad, PreparedRun, prepare_run
 from proprio_ros.identification.reasons import Reason, about
@@ -385,14 +391,17 @@ def _motion_check(
         **dict.fromkeys(robot.model.independent_joints, 0.0),
         **motion.held,
     }
+    standing = replace(motion, held=held)
     try:
-        width_kg, per_kg = solvable(mass_from_motion)(robot, replace(motion, held=held))
+        width_kg, per_kg = solvable(mass_from_motion)(robot, standing)
+        more = more_of_motion(robot, standing, width_kg, per_kg)
     except (RecordingError, RobotError):
         return None
     stated = not is_description(str(robot.source))
-    return MotionCheck(
-        motion.moved, float(motion.times_s[-1]), width_kg, per_kg if stated else None
-    )
+    if not stated:
+        more = tuple(each for each in more if each.load_kg is None)
+    moved_s = float(motion.times_s[-1])
+    return MotionCheck(motion.moved, moved_s, width_kg, per_kg if stated else None, more)
 
 
 def _advice(
@@ -467,8 +476,11 @@ def _run_check(robot: Robot, run: Run) -> RunCheck:
         problem = str(error)
     notes = (*run.notes, *about(found.reasons, run.name))
     width_kg = None
-    with suppress(RobotError):
-        width_kg = None if problem or slides or run.is_free_response else mass_from_run(robot, run)
+    more: tuple[OneMore, ...] = ()
+    if not problem and not slides and not run.is_free_response:
+        with suppress(RobotError):
+            width_kg = mass_from_run(robot, run)
+            more = more_of_run(robot, run)
     driven = (
         run.duration_s,
         travel,
@@ -484,6 +496,7 @@ def _run_check(robot: Robot, run: Run) -> RunCheck:
         notes,
         width_kg,
         run.is_free_response,
+        more,
     )
 
 

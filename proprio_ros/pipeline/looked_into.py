@@ -9,6 +9,7 @@ from itertools import groupby
 from typing import Any
 
 from proprio_ros.errors import ProprioError, some
+from proprio_ros.experiment_design.predicted_mass import OneMore
 from proprio_ros.identification.estimate import plain
 from proprio_ros.quantity import shown
 from proprio_ros.recordings.drivers import Driver
@@ -22,6 +23,20 @@ FREE_SWING = (
     "it tells gravity moment over inertia, without any torque constant: a mass with a calibration from swings with two known loads "
     "(calibrate --reference BAG=KG --reference BAG=KG)"
 )
+
+
+def _brings(more: OneMore) -> str:
+    """What one more recording would bring, in words."""
+    half = f"+-{_grams(more.mass_half_width_kg)}"
+    if more.load_kg is not None and more.mass_half_width_per_kg is not None:
+        share = f"{100.0 * more.mass_half_width_per_kg:.0f} % of the mass"
+        load = f"a known load of about {_grams(more.load_kg)} (`calibrate --reference`)"
+        return f"a third one with {load} makes it about {half} and {share}"
+    if more.kind == "push":
+        return f"another such push makes it about {half}"
+    if more.kind == "empty_hand":
+        return f"a second one with an empty hand makes it about {half}"
+    return f"beside such pushes with an empty hand (`calibrate`) it is about {half}"
 
 
 @dataclass(frozen=True)
@@ -41,6 +56,7 @@ class RunCheck:
     # about half the 95 % interval of a light object's mass from this run alone; None where it lifts nothing
     mass_half_width_kg: float | None = None
     is_free_response: bool = False  # whether it is a free swing: torque was off
+    one_more: tuple[OneMore, ...] = ()  # what another one beside it would bring
 
     def as_json(self) -> dict[str, Any]:
         return {
@@ -50,7 +66,7 @@ class RunCheck:
             "problem": self.problem or None,
             "problem_code": reason_codes([self.problem])[0] if self.problem else None,
             "notes": list(self.notes),
-            "mass_half_width_kg": self.mass_half_width_kg,
+            **_named(self, "mass_half_width_kg", "one_more"),
         }
 
     def lines(self) -> list[str]:
@@ -58,6 +74,7 @@ class RunCheck:
         judged = f"not usable, {self.problem}" if self.problem else "usable"
         if not self.problem and self.mass_half_width_kg is not None:
             judged += f"; alone it tells a light object's mass to about +-{_grams(self.mass_half_width_kg)}"
+            judged += "".join(f"; {_brings(more)}" for more in self.one_more)
         if self.is_free_response:
             until = (
                 f"{self.duration_s:.2f} s until it hangs still, over {self.travel:.2f} {self.unit}"
@@ -80,6 +97,7 @@ class MotionCheck:
     mass_half_width_kg: float  # about half the 95 % interval of a light object's mass
     # what every kg of the object adds to it, since torque constants are not known better; None where nobody stated them
     mass_half_width_per_kg: float | None
+    one_more: tuple[OneMore, ...] = ()  # what another one beside both would bring
 
     def sentence(self) -> str:
         """For the terminal."""
@@ -88,10 +106,12 @@ class MotionCheck:
         else:
             more = f"{100.0 * self.mass_half_width_per_kg:.0f} % of the mass, which is how well the torque constants are known"
         width = f"+-{_grams(self.mass_half_width_kg)} (95 %)"
-        return f"beside the same motion with an empty hand it tells a light object's mass to about {width}, and {more}"
+        said = f"beside the same motion with an empty hand it tells a light object's mass to about {width}, and {more}"
+        return "; ".join([said, *map(_brings, self.one_more)])
 
     def as_json(self) -> dict[str, Any]:
-        return _named(self, "joints", "duration_s", "mass_half_width_kg", "mass_half_width_per_kg")
+        widths = ("mass_half_width_kg", "mass_half_width_per_kg")
+        return _named(self, "joints", "duration_s", *widths, "one_more")
 
 
 @dataclass(frozen=True)

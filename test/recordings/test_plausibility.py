@@ -10,11 +10,19 @@ from typing import Any
 import numpy as np
 import pytest
 from support.recording_bag import write_recording
+from support.simulated import runs_of
 
 from proprio_ros.cli import main
-from proprio_ros.experiment_design.predicted_mass import mass_from_motion, mass_from_run
+from proprio_ros.experiment_design.predicted_mass import (
+    mass_from_motion,
+    mass_from_run,
+    more_of_motion,
+    more_of_run,
+)
+from proprio_ros.identification.robot_calibration import LoadedRun, calibrate
 from proprio_ros.pipeline.loading import bag_recording, bag_runs
 from proprio_ros.pipeline.request import Options, Request
+from proprio_ros.probes.payload.identify import weigh
 from proprio_ros.recordings.effort_units import effort_per_torque, effort_units, gravity_torque
 from proprio_ros.recordings.motions import motion_of
 from proprio_ros.recordings.plausibility import findings, velocity_lag_s
@@ -324,6 +332,13 @@ def test_a_motion_tells_about_what_came_out_of_it(tmp_path: Path) -> None:
         current_A=0.0 * whole.current_A[short],
     )
     assert mass_from_motion(robot, quarter)[0] > 1.3 * width_kg
+    # a second empty hand halves at most what the first one leaves open; a known load tells the torque constants
+    empty, load = more_of_motion(robot, whole, width_kg, per_kg)
+    assert (empty.kind, load.kind) == ("empty_hand", "known_load")
+    assert np.sqrt(0.5) * width_kg < empty.mass_half_width_kg < width_kg
+    assert load.load_kg is not None and 1.0 < load.load_kg < 5.0
+    assert load.mass_half_width_per_kg == pytest.approx(1.96 * 0.025, rel=0.1)
+    assert {each.kind for each in more_of_motion(robot, whole, width_kg, 0.02)} == {"empty_hand"}
 
 
 def test_a_run_tells_about_what_comes_out_of_it() -> None:
@@ -351,3 +366,24 @@ def test_a_run_tells_about_what_comes_out_of_it() -> None:
         )
         is None
     )
+
+
+def test_what_a_calibration_would_bring_is_what_it_brings() -> None:
+    robot = load_robot("open_manipulator_x")
+    folders = sorted((ROOT / "bags").glob("realistic_s00_empty_*"))
+    empty = [LoadedRun(run) for folder in folders for run in runs_of(folder, robot)]
+    calibration = calibrate(robot, empty).calibration
+    assert calibration is not None
+    known = robot.with_calibration(calibration)
+    folder = ROOT / "bags" / "realistic_s00_fixed_light_ball_20g_joint3"
+    (run,) = runs_of(folder, robot)
+    (foreseen,) = more_of_run(robot, run)
+    mass = weigh(known, [run]).values[0]
+    assert foreseen.kind == "calibration" and mass.std is not None
+    assert 1.0 / 2.5 < foreseen.mass_half_width_kg / (1.96 * mass.std) < 2.5
+    # what differs from run to run is most of what such a robot does not know, and another push halves its variance
+    noisy = replace(known, torque_disturbance=0.1)
+    (push,) = more_of_run(noisy, run)
+    alone_kg = mass_from_run(noisy, run)
+    assert push.kind == "push" and alone_kg is not None
+    assert push.mass_half_width_kg == pytest.approx(np.sqrt(0.5) * alone_kg, rel=0.02)

@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from proprio_ros.calibration_files.motions import SPREAD_FACTORS
+from proprio_ros.identification.scatter import half_cauchy, under
 from proprio_ros.records import FloatArray
 
 PUBLISHED: Mapping[str, float] = {
@@ -269,26 +270,6 @@ def _of_more(
     return np.array(found)
 
 
-def under(
-    variances: FloatArray, information: FloatArray, side: FloatArray
-) -> tuple[float, FloatArray]:
-    """The terms under a prior about nothing, and how likely it makes the data (see how_it_works, log p of lambda).
-
-    Args:
-        variances: Of the prior, shape (T,).
-        information: Of the data, shape (T, T).
-        side: What the data say, weighted alike, shape (T,).
-
-    Returns: Logarithm of the data's likelihood over that without the terms, and the terms, shape (T,).
-    """
-    widened = np.eye(len(side)) + variances[:, None] * information
-    values = np.asarray(
-        np.linalg.solve(widened, variances * side),
-        np.float64,
-    )
-    return 0.5 * float(side @ values - np.linalg.slogdet(widened)[1]), values
-
-
 def likely(
     log_evidence: FloatArray, factors: FloatArray, before: FloatArray | float = 0.0
 ) -> tuple[FloatArray, float]:
@@ -325,9 +306,9 @@ def by_own_spread(log_likelihood: FloatArray) -> FloatArray:
 
 
 def _half_cauchy(factors: FloatArray) -> FloatArray:
-    """Prior of spreads (Gelman 2006, Bayesian Analysis 1) times the steps of the grid, of the shape of the factors."""
+    """Prior of spreads times the steps of the grid, of the shape of the factors."""
     steps = np.gradient(np.array(FACTORS))[np.searchsorted(FACTORS, factors)]
-    result: FloatArray = steps / (1.0 + np.square(factors))
+    result: FloatArray = steps * half_cauchy(factors)
     return result
 
 

@@ -32,8 +32,8 @@ from proprio_ros.identification.regression.recording_variability import (
     by_own_spread,
     likely,
     spread_of_runs,
-    under,
 )
+from proprio_ros.identification.scatter import under
 from proprio_ros.pipeline.calibrate import calibrate_from_bags
 from proprio_ros.pipeline.replay import replay
 from proprio_ros.pipeline.request import Options

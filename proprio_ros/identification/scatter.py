@@ -1,0 +1,67 @@
+"""How far terms of recordings or runs scatter that nobody stated: a prior of their spread, and what data say of it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from proprio_ros.records import FloatArray
+
+LEAST, MOST, STEPS = 0.03, 10.0, 36
+"""The grid of a spread, in parts of what is stated of it: a robot beyond six times that is refused."""
+
+
+def half_cauchy(factors: FloatArray) -> FloatArray:
+    """Prior density of spreads in parts of what is stated of them (Gelman 2006, Bayesian Analysis 1), of the factors' shape."""
+    density: FloatArray = 1.0 / (1.0 + np.square(factors))
+    return density
+
+
+def under(
+    variances: FloatArray, information: FloatArray, side: FloatArray
+) -> tuple[float, FloatArray]:
+    """The terms under a prior about nothing, and how likely it makes the data (see how_it_works, log p of lambda).
+
+    Args:
+        variances: Of the prior, shape (T,).
+        information: Of the data, shape (T, T).
+        side: What the data say, weighted alike, shape (T,).
+
+    Returns: Logarithm of the data's likelihood over that without the terms, and the terms, shape (T,).
+    """
+    widened = np.eye(len(side)) + variances[:, None] * information
+    values = np.asarray(
+        np.linalg.solve(widened, variances * side),
+        np.float64,
+    )
+    return 0.5 * float(side @ values - np.linalg.slogdet(widened)[1]), values
+
+
+def rms_spread(
+    stated: float,
+    known: FloatArray,
+    found: FloatArray,
+    covariance: FloatArray,
+    prior: FloatArray,
+) -> float:
+    """Root mean square of the standard deviations that T terms may have in common, each as likely as it makes the data.
+
+    What was fitted beside the terms takes part of them up, so their estimates are no sample of them: a machine that repeats is not
+    told by small estimates, but by data that need no such terms.
+
+    Args:
+        stated: Standard deviation that is expected.
+        known: Variance that each term has beside that, shape (T,).
+        found: The terms after a fit, shape (T,).
+        covariance: Of these, after it, shape (T, T).
+        prior: Variances under which they were fitted, shape (T,).
+    """
+    precision = np.linalg.inv(covariance)
+    information = precision - np.diag(1.0 / prior)
+    side = precision @ found
+    factors = np.geomspace(LEAST, MOST, STEPS)
+    logs = np.array(
+        [under(known + (factor * stated) ** 2, information, side)[0] for factor in factors]
+    )
+    # equal steps of the logarithm
+    weights = half_cauchy(factors) * factors * np.exp(logs - logs.max())
+    return float(stated * np.sqrt(weights @ np.square(factors) / weights.sum()))
