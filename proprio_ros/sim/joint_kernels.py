@@ -5,7 +5,6 @@ from typing import Any
 
 import warp as wp
 
-from proprio_ros.sim import runtime
 from proprio_ros.sim.rollout_kernels import Law
 from proprio_ros.sim.runtime import FLOAT, FLOATS
 
@@ -35,7 +34,6 @@ slide)."""
 VOLTAGE, BACK_EMF, RESISTANCE, FRICTION_VELOCITY = range(4)  # columns of ``JointData.constants``
 CURRENT, LOAD, LOAD_PER_KG = range(3)  # entries of the input
 
-runtime.start()
 VEC2 = wp.types.vector(length=2, dtype=FLOAT)
 VEC3 = wp.types.vector(length=3, dtype=FLOAT)
 

@@ -23,6 +23,7 @@ FLOATS = wp.array2d(dtype=FLOAT)
 COMPILERS = min(os.cpu_count() or 1, 4)
 """Kernels that are compiled at the same time. Each thread first compiles Warp's headers, 1.2 s; a single one is the caller's."""
 _refusal = ""
+_started = False
 _alone = 0  # how many kernels were compiled in this process for the first who asked, and not ahead
 
 
@@ -31,7 +32,10 @@ def start() -> None:
 
     What is wrong with its folder of compiled kernels is said by ``check``: an import that fails could not say it in one line.
     """
-    global _refusal
+    global _refusal, _started
+    if _started:
+        return
+    _started = True
     wp.config.log_level = wp.LOG_WARNING
     with nullcontext() if _has_cuda_driver() else _native_stderr_closed():
         try:
@@ -41,7 +45,11 @@ def start() -> None:
 
 
 def check() -> None:
-    """Raises: ComputerError: Warp could not make its folder of compiled kernels."""
+    """Start Warp where nothing has: it takes 120 MB, which a motion needs no kernel for.
+
+    Raises: ComputerError: Warp could not make its folder of compiled kernels.
+    """
+    start()
     if _refusal:
         raise ComputerError(_refusal)
 

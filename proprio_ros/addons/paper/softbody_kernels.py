@@ -5,9 +5,12 @@ from typing import Any
 
 import warp as wp
 
+from proprio_ros.sim import runtime
 from proprio_ros.sim.energies import LEAST_J
 from proprio_ros.sim.joint_kernels import VEC3
 from proprio_ros.sim.runtime import FLOAT
+
+runtime.start()
 
 _OF_GRIPPER = ("inertia", "torque_constant", "coulomb", "viscous", "q0", "v0", "gap")
 SOFT_PARAMETERS = (*_OF_GRIPPER, "lame_mu", "lame_lambda", "viscosity")

@@ -163,9 +163,9 @@ class MotionFit:
         for number in range(problem.loaded):
             mine = problem.motion == number
             late |= mine & (problem.stretch > np.median(problem.stretch[mine]))
-        first = problem.only(~late)
-        second = problem.only(late | ~problem.carrying)
-        return self._weighed_by(first), self._weighed_by(second)
+        # one after the other: equations of a long motion take a tenth of what the process holds
+        first = self._weighed_by(problem.only(~late))
+        return first, self._weighed_by(problem.only(late | ~problem.carrying))
 
     def _weighed_by(self, part: Problem) -> tuple[float, float]:
         """Mass and its standard deviation [kg] by some of the equations."""
@@ -185,9 +185,9 @@ class MotionFit:
         if not cuts:
             return None
         cut = max(cuts, key=self._differ_at)
-        near = self.problem.only(self.problem.joint < cut)
-        far = self.problem.only(self.problem.joint >= cut)
-        return ChainParts(self.joints[cut], self._weighed_by(near), self._weighed_by(far))
+        near = self._weighed_by(self.problem.only(self.problem.joint < cut))
+        far = self._weighed_by(self.problem.only(self.problem.joint >= cut))
+        return ChainParts(self.joints[cut], near, far)
 
     def _differ_at(self, cut: int) -> float:
         """By how many standard deviations the joints before a joint and the others differ, with the weights of the whole fit."""
