@@ -6,10 +6,9 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import groupby
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from proprio_ros.errors import ProprioError, some
-from proprio_ros.experiment_design.predicted_mass import OneMore
 from proprio_ros.identification.estimate import plain
 from proprio_ros.quantity import shown
 from proprio_ros.recordings.drivers import Driver
@@ -18,6 +17,9 @@ from proprio_ros.recordings.motions import Motion
 from proprio_ros.recordings.plausibility import Finding
 from proprio_ros.records import STALL_CURRENT
 from proprio_ros.schema import header, reason_codes
+
+if TYPE_CHECKING:
+    from proprio_ros.experiment_design.predicted_mass import OneMore
 
 FREE_SWING = (
     "it tells gravity moment over inertia, without any torque constant: a mass with a calibration from swings with two known loads "
