@@ -14,6 +14,7 @@ which source has which share of the variance, as a mean over the answers.
 
 from __future__ import annotations
 
+import argparse
 import os
 from collections import Counter
 from collections.abc import Collection, Sequence
@@ -461,7 +462,8 @@ def row(
     )  # fmt: skip
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
+def stated(arguments: Sequence[str] | None) -> argparse.Namespace:
+    """What the command line says."""
     parser = parser_of(__doc__)
     parser.add_argument("--robots", type=int, default=60)
     parser.add_argument("--first", type=int, default=2000, help="first seed")
@@ -480,7 +482,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
         default=RUN_TORQUE_N_M,
         help="by so much the torque of robots differs from run to run [N m]",
     )
-    options = parser.parse_args(arguments)
+    return parser.parse_args(arguments)
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    options = stated(arguments)
     results = Results(__file__, options.json, arguments)
     effects = tuple(effect for effect in EFFECTS if effect not in options.without)
     answers: list[Answer] = []
