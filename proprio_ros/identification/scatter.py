@@ -58,10 +58,9 @@ def rms_spread(
     precision = np.linalg.inv(covariance)
     information = precision - np.diag(1.0 / prior)
     side = precision @ found
-    factors = np.geomspace(LEAST, MOST, STEPS)
-    logs = np.array(
-        [under(known + (factor * stated) ** 2, information, side)[0] for factor in factors]
-    )
+    factors: FloatArray = np.geomspace(LEAST, MOST, STEPS)
+    variances: FloatArray = known + np.square(factors * stated)[:, None]
+    logs = np.array([under(each, information, side)[0] for each in variances])
     # equal steps of the logarithm
     weights = half_cauchy(factors) * factors * np.exp(logs - logs.max())
     return float(stated * np.sqrt(weights @ np.square(factors) / weights.sum()))

@@ -462,6 +462,19 @@ def row(
     )  # fmt: skip
 
 
+def rows_of_kind(
+    results: Results,
+    run_torque_N_m: float,
+    answers: Sequence[Answer],
+    robots: int,
+) -> None:
+    """Of robots whose torque differs alike: each run alone, and three together."""
+    alone = [each for each in answers if each.runs == 1]
+    together = [each for each in answers if each.runs > 1]
+    row(results, run_torque_N_m, "one", alone, 3 * robots)
+    row(results, run_torque_N_m, "three together", together, robots)
+
+
 def stated(arguments: Sequence[str] | None) -> argparse.Namespace:
     """What the command line says."""
     parser = parser_of(__doc__)
@@ -511,10 +524,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     )
     for torque_N_m in options.run_torque:
         of_kind = [each for each in answers if each.run_torque == torque_N_m]
-        alone = [each for each in of_kind if each.runs == 1]
-        together = [each for each in of_kind if each.runs > 1]
-        row(results, torque_N_m, "one", alone, 3 * options.robots)
-        row(results, torque_N_m, "three together", together, options.robots)
+        rows_of_kind(results, torque_N_m, of_kind, options.robots)
     shares: Counter[str] = Counter()
     for answer in answers:
         shares.update(answer.shares)
