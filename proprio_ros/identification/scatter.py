@@ -55,8 +55,8 @@ def rms_spread(
         covariance: Of these, after it, shape (T, T).
         prior: Variances under which they were fitted, shape (T,).
     """
-    precision = np.linalg.inv(covariance)
-    information = precision - np.diag(1.0 / prior)
+    precision = np.asarray(np.linalg.inv(covariance), np.float64)
+    information = precision - np.diag(1.0 / prior).astype(np.float64)
     side = precision @ found
     factors: FloatArray = np.geomspace(LEAST, MOST, STEPS)
     variances: FloatArray = known + np.square(factors * stated)[:, None]
