@@ -199,15 +199,9 @@ def _found(
     motions: list[tuple[Motion, float]] = []
     for read, recording, load in zip(recorded.reads, recorded.recordings, loads, strict=True):
         found = found_in(with_stall_currents(recording, request.robot), request)
-        if isinstance(found, Motion):
-            motions.append(
-                (
-                    recorded.distinct.checked(read.path, found),
-                    load.mass,
-                )
-            )
-        else:
-            runs += [LoadedRun(run, load) for run in recorded.distinct.checked(read.path, found)]
+        for motion in found.motions:
+            motions.append((recorded.distinct.motion(read.path, motion), load.mass))
+        runs += [LoadedRun(run, load) for run in recorded.distinct.runs(read.path, found.runs)]
     if motions and runs:
         raise RecordingError(
             f"{motions[0][0].name}: is a motion (several joints at once, or one under a controller), but {runs[0].run.name} holds "
@@ -265,7 +259,7 @@ def refresh_from_bags(
     )
     runs: list[Run] = []
     for each, recording in zip(recorded.reads, recorded.recordings, strict=True):
-        runs += recorded.distinct.checked(each.path, runs_in(recording, request))
+        runs += recorded.distinct.runs(each.path, runs_in(recording, request))
     now = moment_of(runs, recorded.reads)
     robot = aged_robot(request.robot, now)
     read = time.perf_counter()
@@ -566,7 +560,7 @@ def _with_learnt_delay(
         late = replace(robot, delay=Quantity(delay_s))
         asked = replace(request, robot=late)
         found = [runs_or_motion(with_stall_currents(each, late), asked) for each in recordings]
-        motions = [each for each in found if isinstance(each, Motion)]
+        motions = [motion for each in found for motion in each.motions]
         return torque_left_over(late, motions, masses_kg, request.facts)
 
     delay = best_delay(left_over, robot.delay)

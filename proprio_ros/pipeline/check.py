@@ -29,6 +29,7 @@ from proprio_ros.identification.solvable import solvable
 from proprio_ros.inputs.resources import paths_of
 from proprio_ros.inputs.settings import Settings
 from proprio_ros.pipeline.loading import (
+    Found,
     followed,
     runs_or_motion,
     turning_joints,
@@ -114,6 +115,7 @@ def _any_object(settings: Settings) -> None:
 class _Looked:
     """What a fit would have to go by."""
 
+    robot: Robot  # with the joints of a motion that are only read
     recording: Recording | None = None  # None: not even its joint states can be read
     runs: tuple[RunCheck, ...] = ()
     motion: Motion | None = None
@@ -125,7 +127,7 @@ def _bag_check(request: Request, path: Path) -> BagCheck:
     options = request.reading.options
     with open_recording(path) as source:
         contents = source.contents(options)
-        looked = _Looked(problem=contents.problem)
+        looked = _Looked(request.robot, problem=contents.problem)
         if contents.problem is None:
             looked = _looked_into(source, request, contents)
     types = {name: kind for name, kind, _ in contents.topics}
@@ -149,11 +151,11 @@ def _looked_into(
     contents: Contents,
 ) -> _Looked:
     """What an open source holds, as far as it can be read."""
-    looked = _Looked()
+    looked = _Looked(request.robot)
     try:
         recording = request.reading.recording(source)
-        looked = _Looked(recording)
-        return _with_found(looked, runs_or_motion(recording, request), request.robot)
+        looked = replace(looked, recording=recording)
+        return _with_found(looked, runs_or_motion(recording, request))
     except (RecordingError, RobotError) as error:
         looked = replace(looked, problem=error)
     if looked.recording is not None or not contents.topics:
@@ -170,21 +172,18 @@ def _looked_into(
     try:
         return replace(looked, recording=source.recording(states))
     except RecordingError as worse:
-        return _Looked(problem=worse)
+        return replace(looked, problem=worse)
 
 
-def _with_found(
-    looked: _Looked,
-    found: tuple[Run, ...] | Motion,
-    robot: Robot,
-) -> _Looked:
+def _with_found(looked: _Looked, found: Found) -> _Looked:
     """The same with the runs or the motion that were found; raises what `replay` raises of them."""
-    if isinstance(found, Motion):
-        robot, [found] = followed(robot, [found])
-        _refuse_motion(robot, found)
-        return replace(looked, motion=found)
-    refuse_uncalibrated(robot, found)
-    return replace(looked, runs=tuple(_run_check(robot, run) for run in found))
+    robot = looked.robot
+    if found.motions:
+        robot, [motion] = followed(robot, found.motions)
+        _refuse_motion(robot, motion)
+        return replace(looked, robot=robot, motion=motion)
+    refuse_uncalibrated(robot, found.runs)
+    return replace(looked, runs=tuple(_run_check(robot, run) for run in found.runs))
 
 
 def _shown(
@@ -195,10 +194,8 @@ def _shown(
     check: BagCheck,
 ) -> BagCheck:
     """A check with what the recording shows of itself."""
-    if looked.motion is not None:
-        robot, _ = followed(request.robot, [looked.motion])
-        request = replace(request, robot=robot)
-    robot = request.robot
+    robot = looked.robot
+    request = replace(request, robot=robot)
     slides = [joint.name for joint in robot.model.joints if joint.kind == "prismatic"]
     moved = moving(recording.joints, slides)
     seen = _findings(request, recording, slides)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TypeVar
 
 import numpy as np
 
@@ -13,8 +12,6 @@ from proprio_ros.inputs.reading import path_problem
 from proprio_ros.recordings.motions import Motion
 from proprio_ros.records import Run
 from proprio_ros.whole_files import real_path
-
-_Found = TypeVar("_Found", Motion, Sequence[Run])
 
 
 class Distinct:
@@ -35,25 +32,20 @@ class Distinct:
             places[place] = path
         self._paths: dict[tuple[object, ...], str | Path] = {}
 
-    def checked(self, path: str | Path, found: _Found) -> _Found:
-        """The runs or the motion of one path.
+    def motion(self, path: str | Path, motion: Motion) -> Motion:
+        """The motion of one path.
 
-        Raises `ConfigurationError`: Another path held one of them: the same samples at the same times, and the same current.
+        Raises `ConfigurationError`: Another path held it: the same samples at the same times, and the same currents.
         """
-        if isinstance(found, Motion):
-            self._check(
-                path, " ".join(found.joints), found.times_s, found.position, found.current_A
-            )
-        else:
-            for run in found:
-                self._check(
-                    path,
-                    run.joint,
-                    run.times_s,
-                    run.position,
-                    run.input_current_A,
-                )
-        return found
+        joints = " ".join(motion.joints)
+        self._check(path, joints, motion.times_s, motion.position, motion.current_A)
+        return motion
+
+    def runs(self, path: str | Path, runs: Sequence[Run]) -> Sequence[Run]:
+        """The runs of one path. Raises `ConfigurationError`: Another path held one of them."""
+        for run in runs:
+            self._check(path, run.joint, run.times_s, run.position, run.input_current_A)
+        return runs
 
     def _check(self, path: str | Path, joint: str, *arrays: np.ndarray) -> None:
         key: tuple[object, ...] = (

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -27,12 +28,20 @@ MOVED_SLIDE_M = 0.02  # a slide that moves less stands still [m]
 
 
 @dataclass(frozen=True)
+class Found:
+    """What a recording holds for a robot: runs, or one motion."""
+
+    runs: tuple[Run, ...] = ()
+    motions: tuple[Motion, ...] = ()
+
+
+@dataclass(frozen=True)
 class Loaded:
     """What one recording gave."""
 
     path: Path
     robot: Robot  # as the request has it, or as a text says of its own
-    found: tuple[Run, ...] | Motion
+    found: Found
     # how warm the motors were on average, by joint [deg C], as far as the recording says it
     temperatures: Attempt[Mapping[str, float]]
     text: TextRecording | None = None  # where it is one
@@ -48,7 +57,7 @@ def load(path: Path, request: Request) -> Loaded:
             text = source.text()
             robot = published_robot(request.robot, text)
             run = published_run(robot, text, request.locked)
-            return Loaded(path, robot, (run,), Attempt({}), text)
+            return Loaded(path, robot, Found((run,)), Attempt({}), text)
         read = request.reading.of(source)
     found = found_in(read.recording.get(), request)
     return Loaded(path, request.robot, found, read.temperatures)
@@ -83,20 +92,18 @@ def runs_in(recording: Recording, request: Request) -> tuple[Run, ...]:
     return _noted(_runs(recording, request), recording, request)
 
 
-def found_in(recording: Recording, request: Request) -> tuple[Run, ...] | Motion:
+def found_in(recording: Recording, request: Request) -> Found:
     """Runs, with what was noted of the recording, or the motion that it holds."""
     found = runs_or_motion(recording, request)
-    return found if isinstance(found, Motion) else _noted(found, recording, request)
+    return replace(found, runs=_noted(found.runs, recording, request))
 
 
-def runs_or_motion(recording: Recording, request: Request) -> tuple[Run, ...] | Motion:
-    """The same of a recording that was read."""
-    if _under_a_controller(recording, request.robot):
-        return _motion(recording, request)
-    try:
-        return _runs(recording, request)
-    except DrivenAtOnce:
-        return _motion(recording, request)
+def runs_or_motion(recording: Recording, request: Request) -> Found:
+    """Runs or the motion, without what was noted of the recording."""
+    if not _under_a_controller(recording, request.robot):
+        with suppress(DrivenAtOnce):
+            return Found(_runs(recording, request))
+    return Found(motions=(_motion(recording, request),))
 
 
 def _runs(recording: Recording, request: Request) -> tuple[Run, ...]:

@@ -95,11 +95,9 @@ def read_for(
         loaded.append(each)
         request = replace(request, robot=each.robot)
         text = each.text or text
-        if isinstance(each.found, Motion):
-            motions.append(distinct.checked(path, each.found))
-        else:
-            runs.extend(distinct.checked(path, each.found))
-            sources.extend([each.path] * len(each.found))
+        motions.extend(distinct.motion(path, motion) for motion in each.found.motions)
+        runs.extend(distinct.runs(path, each.found.runs))
+        sources.extend([each.path] * len(each.found.runs))
     _refuse_unsuited(request, runs, motions)
     learnt = request.robot.calibration
     if learnt is not None and learnt.made is not None and runs:
@@ -112,9 +110,9 @@ def read_for(
     baseline_motions: list[Motion] = []
     for path in baseline_paths:
         if motions:
-            baseline_motions.append(distinct.checked(path, bag_motion(Path(path), whole)))
+            baseline_motions.append(distinct.motion(path, bag_motion(Path(path), whole)))
         else:
-            baseline.extend(distinct.checked(path, bag_runs(Path(path), whole)))
+            baseline.extend(distinct.runs(path, bag_runs(Path(path), whole)))
     count = len(motions)
     robot, read = followed(request.robot, [*motions, *baseline_motions])
     return robot, Recorded(runs, baseline, sources, text, read[:count], read[count:])

@@ -49,7 +49,6 @@ from proprio_ros.pipeline.loading import bag_recording, runs_or_motion
 from proprio_ros.pipeline.request import Request
 from proprio_ros.probes.payload.identify import weigh
 from proprio_ros.quantity import Z95
-from proprio_ros.recordings.motions import Motion
 from proprio_ros.records import Recording, Run
 from proprio_ros.robot import Robot, load_robot
 from proprio_ros.sim.payload import PayloadFacts
@@ -219,9 +218,9 @@ def runs_of(
 ) -> tuple[Run, ...]:
     """As `replay` cuts them out; raises `ProprioError` as it does."""
     found = runs_or_motion(recording, Request(robot))
-    if isinstance(found, Motion):
+    if found.motions:
         raise ProprioError("a motion, and no push")
-    return found
+    return found.runs
 
 
 # --- what is wrong ------------------------------------------------------------------------------------------------------

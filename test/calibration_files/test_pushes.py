@@ -462,7 +462,7 @@ def test_what_was_stated_of_the_arm_is_carried_and_need_not_be_said_again(
     )
     recording = bag_recording(empty[0], request)
     record = recording.joints
-    (recorded,) = runs_or_motion(recording, request)
+    (recorded,) = runs_or_motion(recording, request).runs
     assert recorded.held[finger] == pytest.approx(
         record.position[:, record.column(finger)].mean(), abs=1e-3
     )
@@ -476,9 +476,9 @@ def test_what_was_stated_of_the_arm_is_carried_and_need_not_be_said_again(
             record.position[:, others],
         ),
     )
-    assert runs_or_motion(without, request)[0].held[finger] == 0.01
+    assert runs_or_motion(without, request).runs[0].held[finger] == 0.01
     now = replace(request, locked={finger: 0.005})
-    assert runs_or_motion(without, now)[0].held[finger] == 0.005
+    assert runs_or_motion(without, now).runs[0].held[finger] == 0.005
     # what is brought up to date keeps it, and takes what is stated then
     newer = tmp_path / "newer.yaml"
     refresh_from_bags(

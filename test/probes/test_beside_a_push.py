@@ -53,9 +53,7 @@ def recorded(folder: Path) -> Recording:
 
 
 def runs_in(recording: Recording) -> tuple[Run, ...]:
-    found = runs_or_motion(recording, Request(FILE))
-    assert isinstance(found, tuple)
-    return found
+    return runs_or_motion(recording, Request(FILE)).runs
 
 
 def asked(

@@ -203,7 +203,7 @@ def test_the_stall_current_follows_from_goal_position_and_voltage(
 ) -> None:
     bag = write(tmp_path / "bag", rows)
     robot = load_robot(robot_file(tmp_path, delay="{value: 0.025, std: 0.0}"))
-    motion: Any = load(bag, Request(robot)).found
+    motion: Any = load(bag, Request(robot)).found.motions[0]
     assert "stall current, from goal" in motion.source
     true = rows["duty"] * (12.0 - 0.2 * np.sin(3.0 * rows["t"])) / 2.0
     assert np.sqrt(np.mean(np.square(motion.current_A[:, 0] - true))) < 0.05 * np.std(true)
@@ -223,7 +223,7 @@ def test_a_duty_cycle_needs_no_goal_and_no_unit(
         ),
         ("voltage",),
     )
-    motion: Any = load(bag, Request(load_robot(robot_file(tmp_path, DUTY)))).found
+    motion: Any = load(bag, Request(load_robot(robot_file(tmp_path, DUTY)))).found.motions[0]
     np.testing.assert_allclose(
         motion.current_A[:, 0],
         rows["duty"] * 6.0,
@@ -231,7 +231,7 @@ def test_a_duty_cycle_needs_no_goal_and_no_unit(
     )
     stated = load_robot(robot_file(tmp_path, DUTY, more="      supply_voltage_V: 12.0\n"))
     without = write(tmp_path / "no_voltage", rows, counts, ())
-    motion = load(without, Request(stated)).found
+    [motion] = load(without, Request(stated)).found.motions
     np.testing.assert_allclose(
         motion.current_A[:, 0],
         6e-3 * counts,
