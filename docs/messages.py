@@ -151,12 +151,13 @@ def _words(node: ast.expr, names: Names, depth: int = 0) -> str:
 
 
 def _best_first(sentences: list[str]) -> list[str]:
-    """The shortest that say enough in words of their own, then those that say most."""
+    """The shortest that say enough in words of their own and begin with one, then those that say most."""
     shown = {re.sub(r"(\.\.[ :,;]*)+(?=\.\.)", "", sentence) for sentence in sentences}
     short = [sentence for sentence in shown if len(sentence.split()) <= LONGEST]
 
-    def order(sentence: str) -> tuple[bool, int, str]:
+    def order(sentence: str) -> tuple[bool, bool, int, str]:
         own = len(re.findall(r"[a-z]{2,}", sentence))
-        return own < ENOUGH, own if own >= ENOUGH else -own, sentence
+        too_few = own < ENOUGH
+        return too_few, sentence.startswith(OPEN), -own if too_few else own, sentence
 
     return sorted(short, key=order)

@@ -9,6 +9,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from proprio_ros.identification import sentences
 from proprio_ros.identification.estimate import (
     Detail,
     Estimate,
@@ -44,7 +45,6 @@ from proprio_ros.identification.judge import (
 )
 from proprio_ros.identification.posterior import Posterior
 from proprio_ros.identification.prepared_runs import joints_of
-from proprio_ros.identification.reasons import Reason
 from proprio_ros.kinds import label_of
 from proprio_ros.quantity import Z95
 from proprio_ros.robot import Robot
@@ -154,17 +154,13 @@ class Conclusion:
         unit = self.assessed.unit
         value = f"{1e3 * at:.1f} g" if unit == "kg" else f"{at:.3g} {unit}"
         if rms <= expected:
-            far = f"{self.beside} further from what is known about them than chance allows"
-            chi2 = f"reduced chi-square {self.fit.reduced_chi2:.1f}"
-            said = f"the simulation ({value}) only follows the recording with {far} ({chi2})"
+            sentence = sentences.misfit_of_priors(value, self.beside, self.fit.reduced_chi2)
         else:
-            said = f"the best simulation ({value}) misses the recording by {1e3 * rms:.2f} mrad rms"
-            said += f" where the encoder explains {1e3 * expected:.2f} mrad"
-            said += ", so its mass is no weighing" if unit == "kg" else ""
+            sentence = sentences.misfit_of_residuals(value, rms, expected, unit == "kg")
         return rejected(
             "misfit",
             "the model does not explain the recording",
-            f"misfit: {said}",
+            sentence,
             *suspects,
         )
 
@@ -293,18 +289,11 @@ class Conclusion:
         if self.apart is not None and self.apart.sentence:
             yield self.apart.sentence
         if assessed.inflation > 1.0 and not self.fit.explains:
-            times = f"{np.sqrt(assessed.inflation):.1f} times"
-            rms = f"(rms {1e3 * assessed.rms:.2f} mrad)"
-            said = f"the fit is {times} coarser than the encoder {rms}: the interval was widened by that factor"
-            yield Reason("coarse_fit", said)
+            yield sentences.coarse_fit(float(np.sqrt(assessed.inflation)), assessed.rms)
         yield from self.remarks()
         elsewhere = len(solver.paths) - solver.starts_agreeing
         if elsewhere:
-            ended = f"{elsewhere} of {len(solver.paths)} starts of the search ended at another {label_of(self.name)}"
-            yield Reason(
-                "starts_disagree",
-                f"{ended} or in a worse fit; the best was taken",
-            )
+            yield sentences.starts_disagree(elsewhere, len(solver.paths), label_of(self.name))
         sources = [] if assessed.unit != "kg" else self.budget
         sought = {guess.source for guess in self.guesses}
         yield from uncalibrated(

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from proprio_ros.errors import ConfigurationError
-from proprio_ros.identification import solvers
+from proprio_ros.identification import sentences, solvers
 from proprio_ros.identification.chance import beyond_chance
 from proprio_ros.identification.estimate import (
     Scan,
@@ -304,24 +304,12 @@ def uncalibrated(
         joints = [joint for joint in joints_of(runs) if not robot.is_calibrated([joint])]
         # a file that only says so leaves nothing to be said
         if joints and robot.calibration is not None:
-            open_of_it = (
-                "was not calibrated, so the interval carries what the robot file leaves open of it"
-            )
-            return [
-                Reason(
-                    "not_calibrated",
-                    f"{', '.join(joints)} {open_of_it}",
-                )
-            ]
+            return [sentences.joints_not_calibrated(joints)]
         return []
     if known_exactly(robot, runs):
         return []
-    largest = [
-        f"{source_label(source)} {1e3 * std:.1f} g" for source, std in budget if source != ENCODER
-    ][:3]
-    sentence = "the robot has not been calibrated: the interval carries what its file leaves open"
-    sentence += f" (standard deviations: {', '.join(largest)})" if largest else ""
-    return [Reason("not_calibrated", sentence)]
+    stds_g = [(source_label(source), 1e3 * std) for source, std in budget if source != ENCODER]
+    return [sentences.not_calibrated(stds_g[:3])]
 
 
 def error_budget(

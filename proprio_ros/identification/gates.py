@@ -1,4 +1,4 @@
-"""When a run cannot be trusted: too little of it, a misfit, or a contradiction to the other runs; and the sentence that says so."""
+"""When a run cannot be trusted: too little of it, a misfit, or a contradiction to the other runs."""
 
 from __future__ import annotations
 
@@ -8,11 +8,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from proprio_ros.identification import sentences
 from proprio_ros.identification.chance import chi2_limit
-from proprio_ros.identification.position_steps import (
-    held_jump,
-    jumped,
-)
+from proprio_ros.identification.position_steps import held_jump
 from proprio_ros.identification.posterior import Posterior
 from proprio_ros.identification.prepared_runs import (
     PreparedRun,
@@ -20,7 +18,6 @@ from proprio_ros.identification.prepared_runs import (
 )
 from proprio_ros.identification.problem import Problem
 from proprio_ros.identification.reasons import Reason, of_run
-from proprio_ros.quantity import shown
 from proprio_ros.robot import Robot
 
 MIN_USED = 5
@@ -82,51 +79,33 @@ def contradiction(
         same: What is less is not worth a sentence.
         question: Put to the user where they contradict each other.
     """
-    said = f"it says {shown(unit, one, spec='.1f')}, they say {shown(unit, others, spec='.1f')}"
     apart = abs(one - others)
     if apart < same:
         return Contradiction("", 0.5 * apart)
     if apart < alike:
-        differs = f"{name} differs from the other runs: {said}; the interval carries half of that"
-        return Contradiction(Reason("runs_differ", differs), 0.5 * apart)
-    return Contradiction(
-        Reason(
-            "runs_contradict",
-            f"{name} contradicts the other runs: {said}; {question}",
-        )
-    )
+        return Contradiction(sentences.runs_differ(name, unit, one, others), 0.5 * apart)
+    return Contradiction(sentences.runs_contradict(name, unit, one, others, question))
 
 
 def unusable(run: PreparedRun) -> str:
     """Why a run is of no use, or an empty string."""
     if run.used < MIN_USED:
-        why = run.cut_reason or "the probe was too short"
-        return Reason(
-            "few_samples",
-            f"only {run.used} usable samples, because {why}",
-        )
+        return sentences.few_samples(run.used, run.cut_reason or "the probe was too short")
     jump = "" if run.run.is_free_response else held_jump(run)
     if jump:
-        return jumped(jump)
+        return sentences.position_jumps(jump)
     if abs(run.travel) < STUCK_TRAVEL:
-        so = "so friction and not the weight decides where it is"
-        cure = f"probe with more current or from a pose that leaves at least {LITTLE_TRAVEL} rad of travel"
-        return Reason(
-            "stuck",
-            f"{run.run.joint} moved only {abs(run.travel):.3f} rad, {_moved_instead(run) or so}: {cure}",
-        )
+        return sentences.stuck(run.run.joint, abs(run.travel), LITTLE_TRAVEL, _moved_instead(run))
     return ""
 
 
-def _moved_instead(run: PreparedRun) -> str:
-    """Which joint moved while the one that is said to be driven did not; empty where none did."""
-    farthest = max(run.run.held_span, key=lambda joint: run.run.held_span[joint], default="")
-    if not farthest or run.run.held_span[farthest] < LITTLE_TRAVEL / 2.0:
-        return ""
-    return (
-        f"while {farthest} moved {run.run.held_span[farthest]:.2f} rad: are the columns of the two joints exchanged, or was the "
-        "command for another joint? If not"
-    )
+def _moved_instead(run: PreparedRun) -> tuple[str, float] | None:
+    """Which joint moved while the driven one did not, and how far [rad]; None: none did."""
+    spans = run.run.held_span
+    farthest = max(spans, key=lambda joint: spans[joint], default="")
+    if not farthest or spans[farthest] < LITTLE_TRAVEL / 2.0:
+        return None
+    return farthest, spans[farthest]
 
 
 def admitted(robot: Robot, run: PreparedRun, found: Findings) -> bool:
@@ -154,66 +133,41 @@ def screen_run(robot: Robot, run: PreparedRun, found: Findings) -> None:
     """
     found.notes.extend(f"{run.run.name}: {note}" for note in run.run.notes)
     if run.used >= MIN_USED:
-        found.reasons += [Reason(code, said, run.run.name) for code, said in _unusual(robot, run)]
+        found.reasons += _unusual(robot, run)
 
 
-def _unusual(robot: Robot, run: PreparedRun) -> Iterator[tuple[str, str]]:
-    """Codes and sentences."""
+def _unusual(robot: Robot, run: PreparedRun) -> Iterator[Reason]:
+    name = run.run.name
     joint = run.run.joint
     model = robot.model.joint(run.run.joint)
     if run.cut_reason:
         later = len(run.run.times_s) - run.used
-        yield (
-            "left_out_samples",
-            f"{run.cut_reason}; {later} later samples were left out",
-        )
+        yield sentences.left_out_samples(name, run.cut_reason, later)
     # fingers on a stiff block do not get that far
     if STUCK_TRAVEL <= abs(run.travel) < LITTLE_TRAVEL and model.kind != "prismatic":
-        cure = f"a probe with at least {LITTLE_TRAVEL} rad gives a much narrower interval"
-        yield (
-            "short_travel",
-            f"{joint} moved only {abs(run.travel):.2f} rad in the samples used: {cure}",
-        )
+        yield sentences.short_travel(name, joint, abs(run.travel), LITTLE_TRAVEL)
     margin = 2.0 * run.drive.encoder_resolution
     for limit, side in ((model.lower, -1.0), (model.upper, 1.0)):
         if side * (run.rest.value - limit / run.drive.transmission) > -margin:
-            stop = "where the stop may carry part of the weight: start away from it"
-            yield (
-                "starts_at_limit",
-                f"{joint} starts at its limit ({run.rest.value:.3f} rad), {stop}",
-            )
+            yield sentences.starts_at_limit(name, joint, run.rest.value)
     current = float(np.abs(run.run.input_current_A).max())
     allowed = robot.motors[joint].current_limit_A
     if current > allowed:
-        given = (
-            f"{shown('A', current)} were commanded, but {joint} is limited to {shown('A', allowed)}"
-        )
-        cure = "probe below the limit, or correct current_limit_A in the robot file"
-        yield (
-            "current_above_limit",
-            f"{given}, so less flowed than the input says: {cure}",
-        )
+        yield sentences.current_above_limit(name, joint, current, allowed)
     for held, span in run.run.held_span.items():
         if held in run.coefficients.pose and span > LOCKED_SPAN:
-            yield (
-                "held_joint_moved",
-                f"{held} should be held but moved by {span:.3f} rad",
-            )
+            yield sentences.held_joint_moved(name, held, span)
 
 
 def never_reversed(runs: Sequence[PreparedRun]) -> list[str]:
     """A sentence for each joint that all runs drive in the same direction."""
-    sentences: list[str] = []
+    reasons: list[str] = []
     for joint in joints_of(runs):
         mine = [run for run in runs if run.run.joint == joint]
         signs = {float(np.sign(run.travel)) for run in mine}
         if len(signs) == 1:
-            towards, back = ("positive", "negative") if signs == {1.0} else ("negative", "positive")
-            moved = f"{joint} only ever moved in the {towards} direction, so its friction was never seen reversed"
-            cure = f"add a run in which it moves in the {back} direction"
-            said = f"{moved} and cannot be separated from torque and weight: {cure}"
-            sentences.append(Reason("never_reversed", said))
-    return sentences
+            reasons.append(sentences.never_reversed(joint, upwards=signs == {1.0}))
+    return reasons
 
 
 def stood_still(
@@ -249,10 +203,7 @@ def stood_still(
         net, inertia = _left_to_move(robot, problem, values, run, current, held)
         lasted_s = float(run.run.times_s[-1] - run.run.times_s[0])
         if 0.5 * net.beyond_friction / inertia * lasted_s**2 >= LITTLE_TRAVEL:
-            stood = f"{run.run.name}: {joint} stood still with {shown('A', current)}"
-            left = f"{shown('kg', held)} would leave {shown('N m', abs(net.torque))} to move it"
-            why = "more than its friction can hold: it sticks, or leans on something"
-            return Reason("stood_still", f"{stood}, where {left}, {why}")
+            return sentences.stood_still(run.run.name, joint, current, held, abs(net.torque))
     return ""
 
 
@@ -339,16 +290,3 @@ def of_another_value(posterior: Posterior, name: str) -> int | None:
 def surprising(samples: int, chi2: float) -> float:
     """Chi-square with which others predict so many samples of a run, over that beyond which it contradicts them."""
     return chi2 / max(CONTRADICTION * samples, chi2_limit(samples)) if samples else 0.0
-
-
-def said_left_out(names: Sequence[str], count: int, question: str) -> str:
-    """Which of so many runs were left out, since they contradict the others.
-
-    Args:
-        names: Of those that were left out.
-        count: Of all runs.
-        question: Put to the user.
-    """
-    contradict, were = ("contradicts", "was") if len(names) == 1 else ("contradict", "were")
-    left_out = f"{', '.join(names)} {contradict} the other runs and {were} left out ({len(names)} of {count})"
-    return f"{left_out}: {question}"

@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from proprio_ros.identification import sentences
 from proprio_ros.identification.chance import beyond_chance
 from proprio_ros.identification.estimate import (
     Scan,
@@ -64,10 +65,6 @@ UNEVEN_S, UNEVEN_SHARE = 1e-3, 0.15
 count."""
 Budget = Sequence[tuple[str, float]]
 """Sources of uncertainty, and the standard deviation that each puts on the value, in its unit; the largest first."""
-MOVED_BEFORE = (
-    "as if the joint had moved before the command, or the command were stamped late or early"
-)
-"""What a start velocity says that no rest has."""
 
 
 @dataclass(frozen=True)
@@ -140,27 +137,12 @@ def unsteady(runs: Sequence[PreparedRun]) -> list[Reason]:
         usual_s = float(np.median(steps_s)) if len(steps_s) else 0.0
         if len(steps_s) and steps_s.std() > max(UNEVEN_S, UNEVEN_SHARE * usual_s):
             scatters.append((float(steps_s.std()), usual_s, run.name))
-    busy = "a computer that is busy elsewhere"
-    again = "keep it free and record again"
     if pauses:
         longest_s, name = max(pauses, key=lambda entry: entry[0])
-        paused = f"{name}: the joint states pause for {1e3 * longest_s:.0f} ms"
-        return [
-            Reason(
-                "paused",
-                f"{paused}: {busy} pushes and holds an arm too late; {again}",
-            )
-        ]
+        return [sentences.paused(name, longest_s)]
     if scatters:
         widest_s, every_s, name = max(scatters, key=lambda entry: entry[0])
-        uneven = f"come every {1e3 * every_s:.0f} ms and scatter by {1e3 * widest_s:.1f} ms"
-        why = f"{busy} stamps positions when it did not read them"
-        return [
-            Reason(
-                "uneven",
-                f"{name}: the joint states {uneven}: {why}; {again}",
-            )
-        ]
+        return [sentences.uneven(name, every_s, widest_s)]
     return []
 
 
@@ -282,16 +264,15 @@ class Assessment:
             )
             if guessed or row.pull is None or abs(row.pull) <= FAR:
                 continue
-            off = f"{abs(row.pull):.1f} standard deviations from what was known"
             known = shown(row.unit, row.prior, row.prior_std, between=" +- ")
-            means = f", {MOVED_BEFORE}" if row.kind == "v0" else ""
+            came_out = shown(row.unit, row.value)
+            pull = abs(row.pull)
             far[row.name] = (
-                abs(row.pull),
-                f"{row.name} came out as {shown(row.unit, row.value)}, {off} ({known}){means}",
+                pull,
+                sentences.far_from_prior(row.name, came_out, pull, known, row.kind == "v0"),
             )
         furthest = sorted(far.values(), reverse=True)[:NAMED_AT_MOST]
-        sentences = [sentence for _, sentence in furthest]
-        return sentences or self._far_together()
+        return [sentence for _, sentence in furthest] or self._far_together()
 
     @functools.cached_property
     def zeros_seen(self) -> list[SeenZero]:
@@ -338,13 +319,11 @@ class Assessment:
         found = self.zeros_seen
         if not found or found[0].pull <= ELSEWHERE:
             return []
-        names = " or ".join(
-            each.joint for each in found[:NAMED_AT_MOST] if each.pull > ALIKE_PULL * found[0].pull
-        )
-        said = f"{names} is read as if its zero were {1e3 * found[0].off_rad:+.0f} mrad off what the calibration knows"
-        said += f" ({found[0].pull:.1f} standard deviations)"
-        question = "was it put together anew or read wrong, or does the base stand otherwise? If so, calibrate again"
-        return [Reason("other_zero", f"{said}: {question}")]
+        first = found[0]
+        alike = [
+            each.joint for each in found[:NAMED_AT_MOST] if each.pull > ALIKE_PULL * first.pull
+        ]
+        return [sentences.other_zero(alike, first.off_rad, first.pull)]
 
     def _far_together(self) -> list[str]:
         problem = self.opened.problem
@@ -368,9 +347,7 @@ class Assessment:
         distance2 = float(off @ precision @ off)
         if not beyond_chance(distance2, learnt, FAR):
             return []
-        away = f"{np.sqrt(distance2):.1f} standard deviations from it"
-        directions = f"{learnt:.0f} direction{'s' * (round(learnt) != 1)}"
-        return [f"what the calibration knows ended {away} in {directions} together"]
+        return [sentences.far_together(float(np.sqrt(distance2)), learnt)]
 
     def budget(self) -> list[tuple[str, float]]:
         """Which source puts how much standard deviation on the unknown, as it stands now."""
@@ -408,7 +385,7 @@ def judge(
             refusal = rejected(
                 "far_from_prior",
                 "the model only explains the recording far from what is known",
-                f"the simulation only follows the recording where {'; '.join(far)}: the model is wrong, or the file is",
+                sentences.only_far(far),
                 *other_suspects(assessed.robot),
             )
     zeros = assessed.other_zeros()
@@ -450,26 +427,16 @@ def too_wide(assessed: Assessment, useful: Useful, budget: Budget) -> Iterator[R
     limit = f"+-{100.0 * useful.share:.0f} % of the value"
     if useful.floor:
         limit += f" and than +-{shown(unit, useful.floor, spec='.3g')}"
-    mostly = f", mostly because of {source_label(budget[0][0])}" if budget else ""
-    more = "calibrate the robot on empty-hand runs, or record more runs"
-    if assessed.known:
-        more = "record more runs, with more travel"
-    sentence = (
-        f"anything from {interval} explains the recording, wider than {limit}{mostly}: {more}"
-    )
-    yield wide(useful, sentence)
+    mostly = source_label(budget[0][0]) if budget else ""
+    yield wide(useful, sentences.any_of(interval, limit, mostly, assessed.known))
 
 
 def guessed(guesses: Sequence[Guess], value: float) -> Reason:
     """What an answer that is ``value`` owes to facts that nobody stated."""
     off = float(np.sqrt(sum(guess.std**2 for guess in guesses)))
     listed = ", ".join(f"{guess.key} ({guess.taken}, +- {guess.spread})" for guess in guesses)
-    share = f" (std {100.0 * off / value:.0f} %)" if value > 0.0 else ""
-    cure = f"state it with --set {guesses[0].key}=.."
-    return Reason(
-        "guessed_facts",
-        f"guessed, not stated: {listed}; the interval carries that{share}: {cure}",
-    )
+    share = off / value if value > 0.0 else None
+    return sentences.guessed(listed, share, guesses[0].key)
 
 
 def positive(

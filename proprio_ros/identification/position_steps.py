@@ -12,7 +12,6 @@ import numpy as np
 
 from proprio_ros.identification.posterior import Posterior
 from proprio_ros.identification.prepared_runs import PreparedRun
-from proprio_ros.identification.reasons import Reason
 from proprio_ros.records import BoolArray
 
 NEAR = 3
@@ -138,9 +137,3 @@ def _step(posterior: Posterior, seen: np.ndarray) -> _Step:
         return _Step(0.0, 0.0)
     size = float(seen @ posterior.residual - across @ posterior.step) / information
     return _Step(size, size**2 * information)
-
-
-def jumped(sentence: str) -> Reason:
-    """The same as a reason."""
-    question = "did its encoder slip, or was its zero set meanwhile? Record again"
-    return Reason("position_jumps", f"{sentence}: {question}")

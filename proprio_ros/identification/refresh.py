@@ -17,7 +17,7 @@ from proprio_ros.calibration_files.pushes import (
     Calibration,
 )
 from proprio_ros.errors import ConfigurationError
-from proprio_ros.identification import robot_calibration, solvers
+from proprio_ros.identification import robot_calibration, sentences, solvers
 from proprio_ros.identification.calibration_estimate import (
     NOT_EMPTY,
     CalibrationEstimate,
@@ -38,7 +38,6 @@ from proprio_ros.identification.posterior import (
 )
 from proprio_ros.identification.prepared_runs import PreparedRun
 from proprio_ros.identification.problem import Problem
-from proprio_ros.identification.reasons import Reason
 from proprio_ros.identification.robot_unknowns import (
     robot_unknowns,
 )
@@ -156,9 +155,7 @@ def _drifted(chi2: float, rows: Sequence[UnknownRow]) -> list[str]:
     what = f"reduced chi-square {chi2:.1f}"
     if moved:
         what = f"{', '.join(moved[:3])} standard deviations off"
-    said = f"the calibration no longer fits, not even with the drift that the robot file states ({what})"
-    cure = "was the hand empty, and did anything touch the arm? If not, calibrate anew"
-    return [Reason("drift", f"{said}: {cure}")]
+    return [sentences.drifted(what)]
 
 
 def _updated(

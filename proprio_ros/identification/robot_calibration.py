@@ -14,7 +14,7 @@ import numpy as np
 
 from proprio_ros.calibration_files.pushes import Calibration
 from proprio_ros.errors import ConfigurationError
-from proprio_ros.identification import gates, solvers
+from proprio_ros.identification import gates, sentences, solvers
 from proprio_ros.identification.calibration_estimate import (
     NOT_EMPTY,
     CalibrationEstimate,
@@ -58,7 +58,6 @@ from proprio_ros.identification.swings import (
     MISSED_SHARE,
     are_free_responses,
     missed_share,
-    said_missed,
 )
 from proprio_ros.identification.unknowns import Role
 from proprio_ros.kinds import label_of
@@ -214,7 +213,7 @@ def _remarks(learnt: _Learnt, left_out: Sequence[str], count: int) -> list[str]:
     reasons = []
     if left_out:
         question = "was the hand as stated, and nothing in the way?"
-        reasons.append(gates.said_left_out(left_out, count, question))
+        reasons.append(sentences.left_out(left_out, count, question))
     # swings differ by more than a run says of itself: a good servo's loads would be doubted
     if not swings:
         reasons += _not_as_stated(
@@ -330,11 +329,9 @@ def _misfits(
         return []
     share = missed_share(fitted.posterior)
     if share > MISSED_SHARE:
-        return [said_missed(share)]
+        return [sentences.swing_missed(share)]
     if noise.friction_spread > CHANGING:
-        differs = f"friction differs by {100 * noise.friction_spread:.0f} % from one to the next"
-        said = f"misfit: the swings only agree if {differs}: are the loads as stated, and is their inertia?"
-        return [Reason("misfit", said)]
+        return [sentences.frictions_differ(noise.friction_spread)]
     return []
 
 
@@ -345,27 +342,13 @@ def _separated(
 ) -> tuple[Verdict, list[str], Calibration]:
     """What the runs tell apart: the verdict, why, and the calibration without the joints whose torque and friction they do not."""
     if len(runs) == 1:
-        alone = (
-            f"{runs[0].run.name} is the only run, and nothing confirms it: add others, both ways"
-        )
-        return (
-            Verdict.NOT_IDENTIFIABLE,
-            [Reason("one_run", alone)],
-            whole,
-        )
+        return Verdict.NOT_IDENTIFIABLE, [sentences.one_run(runs[0].run.name)], whole
     if not one_way:
         return Verdict.ACCEPTED, [], whole
     if set(one_way) == set(whole.joints):
-        none = "no joint was driven both ways, so torque and friction were not told apart"
-        return (
-            Verdict.NOT_IDENTIFIABLE,
-            [Reason("not_separated", none)],
-            whole,
-        )
-    stays, its = ("stays", "it was") if len(one_way) == 1 else ("stay", "they were")
-    said = f"{', '.join(one_way)} {stays} uncalibrated, because {its} driven one way only"
+        return Verdict.NOT_IDENTIFIABLE, [sentences.none_separated()], whole
     rest = whole.without({(term, joint) for term in DRIVE_TERMS for joint in one_way})
-    return Verdict.ACCEPTED, [Reason("not_separated", said)], rest
+    return Verdict.ACCEPTED, [sentences.not_separated(list(one_way))], rest
 
 
 def _driven_one_way(robot: Robot, runs: Sequence[PreparedRun]) -> dict[str, bool]:
@@ -478,10 +461,7 @@ def _not_as_stated(off: EmptyHand | None) -> list[str]:
     """That the references are not what was stated, where the runs say so."""
     if off is None or abs(off.pull) <= MAYBE_NOT_EMPTY:
         return []
-    by = f"{shown('kg', abs(off.mass_kg), spec='.1f')} +- {shown('kg', off.std_kg, spec='.1f')}"
-    less = "less" if off.mass_kg < 0.0 else "more"
-    said = f"by these runs your reference weighs {by} {less} than you stated: weigh it again, since every mass follows it"
-    return [Reason("far_from_prior", said)]
+    return [sentences.other_reference(off.mass_kg, off.std_kg)]
 
 
 def _fit_what_agrees(
@@ -623,14 +603,7 @@ def _delay_on_bound(fitted: Fitted) -> list[str]:
     spare = 0.01 * (unknown.upper - unknown.lower)
     if unknown.std == 0.0 or unknown.lower + spare < delay < unknown.upper - spare:
         return []
-    said = "the delay from a command's stamp to what the joint does ended on its bound"
-    cure = "have commands and joint states stamped by one clock"
-    return [
-        Reason(
-            "on_bound",
-            f"{said}, {shown('s', delay, spec='+.0f')}: {cure}",
-        )
-    ]
+    return [sentences.delay_on_bound(delay)]
 
 
 def _held_out(fitted: Fitted) -> tuple[HeldOutRun, ...]:
@@ -656,7 +629,7 @@ def _not_separated(
     calibration: Calibration,
 ) -> tuple[str, ...]:
     """What these runs leave open, in sentences: drive-train terms at their prior, and pairs that only occur together."""
-    sentences = []
+    lines = []
     for row in rows:
         if (
             row.kind in DRIVE_TERMS
@@ -664,7 +637,7 @@ def _not_separated(
             and row.std > UNLEARNT * row.prior_std
         ):
             unit = "" if row.unit == "1" else " " + row.unit
-            sentences.append(
+            lines.append(
                 f"{row.label} was not learnt: still {row.value:.3g} +- {row.std:.2g}{unit}"
             )
     correlation = np.abs(calibration.correlation - np.eye(len(calibration.names)))
@@ -675,7 +648,7 @@ def _not_separated(
     ):
         both = f"{label_of(calibration.keys[a])} and {label_of(calibration.keys[b])}"
         signed = f"(correlation {calibration.correlation[a, b]:+.3f})"
-        sentences.append(f"{both} were only determined together {signed}")
+        lines.append(f"{both} were only determined together {signed}")
     if (
         not any(run.load is not None and run.load.mass > 0.0 for run in problem.runs)
         and robot.arm_scale.std > 0.0
@@ -683,14 +656,14 @@ def _not_separated(
         scale = calibration.quantities.get("arm_scale", robot.arm_scale)
         ratio = "torque constants and the arm's weight were only determined as a ratio"
         until = "until a run holds a weighed reference (--reference BAG=KG)"
-        sentences.insert(
+        lines.insert(
             0,
             f"{ratio}: every mass is uncertain by {100 * scale.std:.1f} % {until}",
         )
-    more = len(sentences) - SAID_AT_MOST
+    more = len(lines) - SAID_AT_MOST
     if more > 0:
-        sentences[SAID_AT_MOST:] = [f"and {more} more: see the correlations"]
-    return tuple(sentences)
+        lines[SAID_AT_MOST:] = [f"and {more} more: see the correlations"]
+    return tuple(lines)
 
 
 def _as_calibration(fitted: Fitted) -> Calibration:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from proprio_ros.identification import sentences
 from proprio_ros.identification.fit import FitResult
 from proprio_ros.identification.locked_joints import rests_from
 from proprio_ros.identification.prepared_runs import PreparedRun
@@ -42,7 +43,6 @@ def stamps_off(fit: FitResult) -> list[Reason]:
     every, _ = problem.parameters(fit.values[None], np.zeros(0, dtype=int))
     parameters = every[0]
     found: list[Reason] = []
-    cure = "have both stamped by one clock, or state the true delay (robot.delay_s)"
     for run, row in zip(problem.runs, parameters, strict=True):
         # which comes in one message with the positions
         if run.run.is_free_response or run.run.source == MEASURED_EFFORT:
@@ -69,35 +69,18 @@ def stamps_off(fit: FitResult) -> list[Reason]:
             robot.delay.value - spread,
             robot.stamp_jitter_s,
         )
+        of = (run.run.name, run.run.joint, run.run.source)
         if begun_s is not None:
-            said = (
-                f"moves {-1e3 * begun_s:.0f} ms or more before the current that is said to drive it"
-            )
-            off = ("late", "early")
-        elif (
-            driven_s := driven_beyond(
-                run,
-                robot.delay.value + spread,
-                change,
-                robot.stamp_jitter_s,
-            )
-        ) is not None:
-            said = (
-                f"is still driven {1e3 * driven_s:.0f} ms after the current is said to have ended"
-            )
-            off = ("early", "late")
-        else:
+            found.append(sentences.moved_before(*of, -begun_s))
             continue
-        question = (
-            f"are the stamps of {run.run.source} {off[0]}, or those of the joint states {off[1]}?"
+        driven_s = driven_beyond(
+            run,
+            robot.delay.value + spread,
+            change,
+            robot.stamp_jitter_s,
         )
-        found.append(
-            Reason(
-                "stamps_off",
-                f"{run.run.joint} {said}: {question} {cure}",
-                run.run.name,
-            )
-        )
+        if driven_s is not None:
+            found.append(sentences.driven_beyond(*of, driven_s))
     return found
 
 

@@ -18,7 +18,6 @@ import numpy as np
 from proprio_ros.errors import RecordingError
 from proprio_ros.identification.posterior import Posterior
 from proprio_ros.identification.prepared_runs import PreparedRun
-from proprio_ros.identification.reasons import Reason
 
 # a simulation that misses a swing by more than this share of its span (rms) does not explain it
 MISSED_SHARE = 0.03
@@ -94,13 +93,6 @@ def missed_share(posterior: Posterior) -> float:
             strict=True,
         )
     )
-
-
-def said_missed(share: float) -> Reason:
-    """That no swing of this joint explains the recording."""
-    said = f"misfit: the best simulated swing misses the recorded one by {100.0 * share:.1f} % of its span (rms)"
-    question = "does the joint hang free, was torque off all the time, and are the loads as stated?"
-    return Reason("misfit", f"{said}: {question}")
 
 
 def _missed(posterior: Posterior) -> list[np.ndarray]:

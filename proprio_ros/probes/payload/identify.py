@@ -22,7 +22,7 @@ from functools import partial
 import numpy as np
 
 from proprio_ros.errors import RecordingError
-from proprio_ros.identification import gates, swings
+from proprio_ros.identification import gates, sentences, swings
 from proprio_ros.identification.chance import chi2_limit
 from proprio_ros.identification.conclude import Conclusion, stated_in
 from proprio_ros.identification.estimate import (
@@ -53,7 +53,7 @@ from proprio_ros.identification.judge import (
     rejected,
 )
 from proprio_ros.identification.mistakes import Mistake, of_held, of_joint
-from proprio_ros.identification.position_steps import driven_jump, jumped
+from proprio_ros.identification.position_steps import driven_jump
 from proprio_ros.identification.posterior import Posterior, run_fits
 from proprio_ros.identification.prepared_runs import KnownLoad, PreparedRun, joints_of, prepare_run
 from proprio_ros.identification.problem import Problem
@@ -196,7 +196,7 @@ def _weighed(
     if not left_out:
         return last
     question = "was the object held as in the others, and nothing in the way?"
-    reason = Reason("runs_differ", gates.said_left_out(left_out, len(runs), question))
+    reason = Reason("runs_differ", sentences.left_out(left_out, len(runs), question))
     estimate = replace(
         last.estimate,
         reasons=(*last.estimate.reasons, reason),
@@ -449,7 +449,7 @@ def _followed(
     misfit = ""
     share = swings.missed_share(posterior)
     if share > swings.MISSED_SHARE:
-        misfit = swings.said_missed(share)
+        misfit = sentences.swing_missed(share)
     elif known and error > swings.MUCH_WORSE * known:
         misfit = (
             f"misfit: the swing is followed {error / known:.1f} times worse than those of the calibration: is the joint free, was "
@@ -594,7 +594,7 @@ class Weighed(Conclusion):
             posterior = Posterior(fit.problem, fit.values)
             jump = driven_jump(posterior, fit.chi2, chi2_limit(fit.dof))
             if jump:
-                yield self.misfit_of(jumped(jump))
+                yield self.misfit_of(sentences.position_jumps(jump))
             moving = self._moving_starts()
             if moving:
                 yield self.misfit_of(*moving)
