@@ -37,12 +37,10 @@ from typing import Any
 import numpy as np
 from real import STS_KG, UR10E_KG, cut, pendulum, ur10e_file
 from results import Results, each_answer, parser_of
-from rosbags.highlevel import AnyReader
-from rosbags.rosbag2 import Writer
-from rosbags.typesys import Stores, get_typestore
 from scipy.stats import binomtest
 from servos import FILE, KNOWN_KG, POINT, Servo
 from support.arm_in_motion import FOUR, SIX, THREE, Twin, write_robot
+from support.copied_bag import TYPES, copying
 from support.differing import (
     FRICTION,
     SPREAD_M2,
@@ -403,21 +401,16 @@ def bent(
     """A bag with every effort so many times as large, and positions so much larger: every one, or those of a joint."""
     if folder.is_dir():
         return folder
-    types = get_typestore(Stores.ROS2_JAZZY)
-    with AnyReader([bag], default_typestore=types) as reader, Writer(folder, version=9) as writer:
-        topics = {
-            c.id: writer.add_connection(c.topic, c.msgtype, typestore=types)
-            for c in reader.connections
-        }
+    with copying(bag, folder) as (reader, write):
         for connection, time_ns, raw in reader.messages():
             if connection.msgtype.endswith("JointState"):
-                message = types.deserialize_cdr(raw, connection.msgtype)
+                message = TYPES.deserialize_cdr(raw, connection.msgtype)
                 message.effort = effort * message.effort
                 message.position = message.position + zero_rad * np.array(
                     [joint in ("", name) for name in message.name]
                 )
-                raw = bytes(types.serialize_cdr(message, connection.msgtype))
-            writer.write(topics[connection.id], time_ns, raw)
+                raw = bytes(TYPES.serialize_cdr(message, connection.msgtype))
+            write(connection, time_ns, raw)
     return folder
 
 

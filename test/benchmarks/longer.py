@@ -24,9 +24,8 @@ import numpy as np
 from real import UR10E_KG, ur10e_file
 from results import REPOSITORY, Results, parser_of
 from rosbags.highlevel import AnyReader
-from rosbags.rosbag2 import Writer
-from rosbags.typesys import Stores, get_typestore
 from support.arm_in_motion import SIX, Twin, write_robot
+from support.copied_bag import TYPES, copying
 from support.machines import REAL
 from support.recording_bag import write_recording
 
@@ -55,15 +54,10 @@ def repeated(
     times: int,
 ) -> Path:
     """A bag of joint states and commands several times over, header stamps included."""
-    types = get_typestore(Stores.ROS2_JAZZY)
-    with AnyReader([bag], default_typestore=types) as reader, Writer(folder, version=9) as writer:
-        topics = {
-            c.id: writer.add_connection(c.topic, c.msgtype, typestore=types)
-            for c in reader.connections
-        }
+    with copying(bag, folder) as (reader, write):
         period_ns = reader.duration + int(1e9 * PAUSE_S)
         messages = [
-            (connection, time_ns, types.deserialize_cdr(raw, connection.msgtype))
+            (connection, time_ns, TYPES.deserialize_cdr(raw, connection.msgtype))
             for connection, time_ns, raw in reader.messages()
         ]
         for number in range(times):
@@ -72,8 +66,8 @@ def repeated(
                     stamp = message.header.stamp
                     later_ns = stamp.sec * 1_000_000_000 + stamp.nanosec + period_ns
                     stamp.sec, stamp.nanosec = divmod(later_ns, 1_000_000_000)
-                raw = types.serialize_cdr(message, connection.msgtype)
-                writer.write(topics[connection.id], time_ns + number * period_ns, raw)
+                raw = bytes(TYPES.serialize_cdr(message, connection.msgtype))
+                write(connection, time_ns + number * period_ns, raw)
     return folder
 
 
@@ -159,8 +153,7 @@ def answered(question: Question) -> dict[str, Any]:
 
 def minutes_of(bag: Path) -> float:
     """How long it lasts."""
-    types = get_typestore(Stores.ROS2_JAZZY)
-    with AnyReader([bag], default_typestore=types) as reader:
+    with AnyReader([bag], default_typestore=TYPES) as reader:
         return float(reader.duration) / 60e9
 
 

@@ -22,8 +22,7 @@ from typing import Any
 
 from results import Results, parser_of
 from rosbags.highlevel import AnyReader
-from rosbags.rosbag2 import Writer
-from rosbags.typesys import Stores, get_typestore
+from support.copied_bag import TYPES, copying
 from support.machines import REAL, UR10E_N_M_PER_A, pendulum_urdf
 
 from proprio_ros.cli import main as proprio
@@ -127,23 +126,15 @@ def cut(
     end_s: float,
 ) -> Path:
     """The messages of a bag between two times since its first."""
-    types = get_typestore(Stores.ROS2_JAZZY)
-    with AnyReader([bag], default_typestore=types) as reader, Writer(folder, version=9) as writer:
-        topics = {
-            c.id: writer.add_connection(c.topic, c.msgtype, typestore=types)
-            for c in reader.connections
-        }
+    with copying(bag, folder) as (reader, write):
         first, last = (reader.start_time + int(1e9 * s) for s in (begin_s, end_s))
         for connection, time_ns, raw in reader.messages(start=first, stop=last):
-            writer.write(topics[connection.id], time_ns, raw)
+            write(connection, time_ns, raw)
     return folder
 
 
 def seconds_of(bag: Path) -> float:
-    with AnyReader(
-        [bag],
-        default_typestore=get_typestore(Stores.ROS2_JAZZY),
-    ) as reader:
+    with AnyReader([bag], default_typestore=TYPES) as reader:
         return 1e-9 * reader.duration
 
 
