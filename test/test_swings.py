@@ -231,13 +231,47 @@ def test_a_bag_says_when_torque_is_off(
     late_s: int,
 ) -> None:
     """Also where most states were heard late, on a busy computer: no clock differs for that."""
+    write_messages(tmp_path / "bag", released_messages(*swings[0], late_s))
+    read = read_recording(
+        tmp_path / "bag",
+        nominal_torque_constants={},
+        joint_order=["pivot"],
+    )
+    assert read.inputs is None and len(read.torque_off_ns) == 1
+    assert 0.095 < 1e-9 * (read.torque_off_ns[0][0] - START_NS) < 0.115
+    (tmp_path / "swing.urdf").write_text(URDF)
+    (tmp_path / "swing.yaml").write_text(ROBOT)
+    _, (check,) = check_bags(
+        tmp_path / "bag",
+        Options(robot=str(tmp_path / "swing.yaml")),
+    )
+    assert (
+        check.usable == 1
+        and check.runs[0].is_free_response
+        and check.as_json()["runs"][0]["free_swing"] is True
+    )
+    assert "gravity moment over inertia, without any torque constant" in check.as_text()
+    with pytest.raises(
+        RecordingError, match="--probe container wants a joint that a current drives"
+    ):
+        replay(tmp_path / "bag", Options(probe="container", robot=str(tmp_path / "swing.yaml"), settings={
+            "container.inner_size": [0.05, 0.05, 0.05], "container.mass": 0.02, "sphere.radius": 0.01,
+        }))  # fmt: skip
+
+
+def released_messages(
+    times_s: np.ndarray,
+    positions: np.ndarray,
+    late_s: int,
+) -> list[RawMessage]:
+    """Of a joint whose torque goes off after 0.1 s, and whose states are heard late after half of that."""
     types: Any = message_types()
     time, header, state, boolean = (
         types.types[name]
         for name in ("builtin_interfaces/msg/Time", "std_msgs/msg/Header", JOINT_STATE, BOOL)
     )
     messages = []
-    for stamp_s, position in zip(*swings[0], strict=True):
+    for stamp_s, position in zip(times_s, positions, strict=True):
         time_ns = START_NS + round(1e9 * stamp_s)
         stamp = time(
             sec=time_ns // 10**9,
@@ -269,32 +303,7 @@ def test_a_bag_says_when_torque_is_off(
                 bytes(types.serialize_cdr(enabled, BOOL)),
             )
         )
-    write_messages(tmp_path / "bag", messages)
-    read = read_recording(
-        tmp_path / "bag",
-        nominal_torque_constants={},
-        joint_order=["pivot"],
-    )
-    assert read.inputs is None and len(read.torque_off_ns) == 1
-    assert 0.095 < 1e-9 * (read.torque_off_ns[0][0] - START_NS) < 0.115
-    (tmp_path / "swing.urdf").write_text(URDF)
-    (tmp_path / "swing.yaml").write_text(ROBOT)
-    _, (check,) = check_bags(
-        tmp_path / "bag",
-        Options(robot=str(tmp_path / "swing.yaml")),
-    )
-    assert (
-        check.usable == 1
-        and check.runs[0].is_free_response
-        and check.as_json()["runs"][0]["free_swing"] is True
-    )
-    assert "gravity moment over inertia, without any torque constant" in check.as_text()
-    with pytest.raises(
-        RecordingError, match="--probe container wants a joint that a current drives"
-    ):
-        replay(tmp_path / "bag", Options(probe="container", robot=str(tmp_path / "swing.yaml"), settings={
-            "container.inner_size": [0.05, 0.05, 0.05], "container.mass": 0.02, "sphere.radius": 0.01,
-        }))  # fmt: skip
+    return messages
 
 
 # --- what it weighs ----------------------------------------------------------------------------------------------------

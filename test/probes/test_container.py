@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from support.simulated import Boxes, bag_in, runs_of, stated_of_box, truth_of
+from support.slopes import assert_gradient_of_the_cost
 
 from proprio_ros.errors import ConfigurationError, ProprioError, RecordingError
 from proprio_ros.identification.estimate import Estimate, Verdict
@@ -511,23 +512,7 @@ def test_gradient_of_the_cost(realistic: Boxes, law: str, mass: float) -> None:
         elif name.startswith(("coulomb", "viscous", "load_friction", "stribeck")):
             base[row] = max(abs(base[row]), 1e-3)
     base = np.clip(base, lower + 1e-9, upper - 1e-9)
-    internal = problem.coordinates.internal(base)
-    gradient = problem.linearise(internal[None])[1][0]
-    steps = 1e-5 * problem.coordinates.natural
-    for row in range(len(names)):
-        up = internal.copy()
-        down = internal.copy()
-        up[row] += steps[row]
-        down[row] -= steps[row]
-        cost = problem.linearise(np.array([up, down]))[0]
-        slope = (cost[0] - cost[1]) / (2.0 * steps[row])
-        scale = max(
-            abs(gradient[row]),
-            1e-3
-            * np.abs(gradient * problem.coordinates.natural).max()
-            / problem.coordinates.natural[row],
-        )
-        assert abs(slope - gradient[row]) < 2e-4 * scale, names[row]
+    assert_gradient_of_the_cost(problem, base, step=1e-5, least=1e-3)
 
 
 def test_a_camera_makes_it_surer(realistic: Boxes) -> None:

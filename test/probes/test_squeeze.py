@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 from support.simulated import BLOCKS, bag_in, cube_of, runs_of, squeezed
+from support.slopes import assert_gradient_of_the_cost
 
 from proprio_ros.cli import main
 from proprio_ros.errors import ProprioError, RecordingError
@@ -323,24 +324,8 @@ def test_gradient_of_the_cost(
     for row, name in enumerate(names):
         if name.startswith(("coulomb", "viscous", "load_friction", "stribeck[")):
             base[row] = max(base[row], 1e-2)
-    internal = problem.coordinates.internal(base)
-    gradient = problem.linearise(internal[None])[1][0]
     # the fingers stop for a moment, and a longer step may change when
-    steps = 1e-6 * problem.coordinates.natural
-    for row, name in enumerate(names):
-        up = internal.copy()
-        down = internal.copy()
-        up[row] += steps[row]
-        down[row] -= steps[row]
-        cost = problem.linearise(np.array([up, down]))[0]
-        slope = (cost[0] - cost[1]) / (2.0 * steps[row])
-        scale = max(
-            abs(gradient[row]),
-            1e-4
-            * np.abs(gradient * problem.coordinates.natural).max()
-            / problem.coordinates.natural[row],
-        )
-        assert abs(slope - gradient[row]) < 2e-4 * scale, name
+    assert_gradient_of_the_cost(problem, base, step=1e-6, least=1e-4)
 
 
 def test_starts_over_two_orders_of_magnitude(of_heavy: Estimate) -> None:

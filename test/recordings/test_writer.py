@@ -23,6 +23,26 @@ BAGS = Path(__file__).parents[2] / "bags"
 def test_what_is_written_is_read_back_bit_by_bit(
     tmp_path_factory: pytest.TempPathFactory, storage: str, data: st.DataObject
 ) -> None:
+    joints, inputs = drawn(data)
+    path = tmp_path_factory.mktemp("round") / "trip"
+    write_recording(path, Recording("trip", joints, inputs), storage)
+    again = read(path, effort_unit="N.m", joint_order=joints.names)
+    assert again.name == "trip"
+    assert again.joints.names == joints.names
+    for quantity in ("times_ns", "position", "velocity", "effort"):
+        before = getattr(joints, quantity)
+        after = getattr(again.joints, quantity)
+        assert (before is None) == (after is None)
+        assert before is None or before.tobytes() == after.tobytes()
+    assert again.inputs is not None
+    assert again.inputs.names == joints.names
+    assert again.inputs.source == "/current_command"
+    assert again.inputs.times_ns.tobytes() == inputs.times_ns.tobytes()
+    assert again.inputs.current_A.tobytes() == inputs.current_A.tobytes()
+
+
+def drawn(data: st.DataObject) -> tuple[JointRecord, InputRecord]:
+    """Joint states and commands of a few joints, with and without velocity and effort."""
     count = data.draw(st.integers(5, 12))
     gaps = data.draw(
         st.lists(
@@ -64,21 +84,7 @@ def test_what_is_written_is_read_back_bit_by_bit(
         np.array(data.draw(table))[::2],
         "/current_command",
     )
-    path = tmp_path_factory.mktemp("round") / "trip"
-    write_recording(path, Recording("trip", joints, inputs), storage)
-    again = read(path, effort_unit="N.m", joint_order=names)
-    assert again.name == "trip"
-    assert again.joints.names == names
-    for quantity in ("times_ns", "position", "velocity", "effort"):
-        before = getattr(joints, quantity)
-        after = getattr(again.joints, quantity)
-        assert (before is None) == (after is None)
-        assert before is None or before.tobytes() == after.tobytes()
-    assert again.inputs is not None
-    assert again.inputs.names == names
-    assert again.inputs.source == "/current_command"
-    assert again.inputs.times_ns.tobytes() == inputs.times_ns.tobytes()
-    assert again.inputs.current_A.tobytes() == inputs.current_A.tobytes()
+    return joints, inputs
 
 
 def test_writing_without_an_input_and_refusals(tmp_path: Path) -> None:
