@@ -334,7 +334,11 @@ def _read_term(entry: Any, kind: str) -> list[float]:
         "std": Number(unit=unit, lowest=_LEAST_STD, highest=_LARGEST),
     }
     if kind in FRICTION_TERMS:
-        forms["run_to_run"] = Number(unit=unit, lowest=0.0, highest=_LARGEST)
+        forms["run_to_run"] = Number(
+            unit=unit,
+            lowest=0.0,
+            highest=_LARGEST,
+        )
     if isinstance(entry, Mapping) and entry.get("unit") != unit:
         raise FormError(f"unit must be {unit!r}, got {shortly(entry.get('unit'))}")
     return exactly(entry, forms, ("unit",))

@@ -224,7 +224,12 @@ class Calibration:
         keep = [row for row, key in enumerate(self.keys) if key not in keys]
         kept = tuple(self.keys[row] for row in keep)
         covariance = self.covariance[np.ix_(keep, keep)]
-        return replace(self, keys=kept, values=self.values[keep], covariance=covariance)
+        return replace(
+            self,
+            keys=kept,
+            values=self.values[keep],
+            covariance=covariance,
+        )
 
     def given(self, keys: set[Key]) -> Calibration:
         """What is known of the others where some unknowns are exactly as here; keys that it does not hold are ignored."""
@@ -342,7 +347,11 @@ def _read_unknown(name: Any, entry: Any) -> tuple[Key, float, float]:
     key = _key(name)
     form = RANGES[_kind(key)]
     value = read_under(entry, "value", form)
-    spread = Number(unit=form.unit, lowest=_LEAST_STD, highest=form.highest)
+    spread = Number(
+        unit=form.unit,
+        lowest=_LEAST_STD,
+        highest=form.highest,
+    )
     std = read_under(entry, "std", spread)
     unit = _unit(key)
     if entry.get("unit", unit) != unit:

@@ -52,7 +52,11 @@ def whitened(
     """
     moved = np.where(alive, np.abs(velocity), 0.0) * stamp_jitter_s
     sigma = np.hypot(reading_std[:, None], moved)
-    return np.where(alive[..., None], slopes / sigma[..., None], 0.0)
+    return np.where(
+        alive[..., None],
+        slopes / sigma[..., None],
+        0.0,
+    )
 
 
 def gain_per_s(variance: float, after: float, seconds: float) -> float:

@@ -294,7 +294,13 @@ def advise(
     wanted = [key for key in wanted if key in calibration.keys]
     place = [calibration.keys.index(key) for key in wanted]
     old = calibration.covariance[np.ix_(place, place)]
-    simulate = partial(_candidates, robot, np.zeros(1), PayloadFacts(), KnownLoad())
+    simulate = partial(
+        _candidates,
+        robot,
+        np.zeros(1),
+        PayloadFacts(),
+        KnownLoad(),
+    )
     turning = [joint for joint in joints if robot.model.joint(joint).kind != "prismatic"]
     found: list[tuple[float, ExcitationPlan]] = []
     for candidates, r in _suitable(robot, turning, COARSE_STARTS, COARSE_POSES, simulate):
@@ -330,7 +336,11 @@ def _taught(
     _, volume_after = np.linalg.slogdet(after)
     ratio = np.sqrt(np.diag(after) / np.diag(before))
     best = int(np.argmin(ratio))
-    return _Taught(0.5 * float(volume_before - volume_after), shared[best], float(ratio[best]))
+    return _Taught(
+        0.5 * float(volume_before - volume_after),
+        shared[best],
+        float(ratio[best]),
+    )
 
 
 def weighable(robot: Robot, joints: Sequence[str]) -> Weighable | None:
@@ -339,7 +349,13 @@ def weighable(robot: Robot, joints: Sequence[str]) -> Weighable | None:
     None where no run of these joints suits such an object.
     """
     facts = PayloadFacts()
-    simulate = partial(_candidates, robot, np.array([TYPICAL_KG]), facts, None)
+    simulate = partial(
+        _candidates,
+        robot,
+        np.array([TYPICAL_KG]),
+        facts,
+        None,
+    )
     driven = [joint for joint in candidate_joints(robot) if joint in joints]
     best = _best_both_ways(_suitable(robot, driven, COARSE_STARTS, COARSE_POSES, simulate))
     chosen = sorted(
@@ -354,7 +370,12 @@ def weighable(robot: Robot, joints: Sequence[str]) -> Weighable | None:
     problem = Problem(robot, prepared, facts, unknowns)
     _, _, dq = problem.simulate(problem.base[None], problem.estimated)
     alive = np.array([each.alive for each in weighings])
-    known = _known_after(problem, dq[0], alive, range(len(weighings)))
+    known = _known_after(
+        problem,
+        dq[0],
+        alive,
+        range(len(weighings)),
+    )
     return Weighable(
         TYPICAL_KG,
         _std_of_mass(*known),
@@ -373,7 +394,11 @@ def _best_both_ways(
         ways = best.setdefault(run.run.joint, {})
         upwards = bool(candidates.travel[0, r] > 0.0)
         if upwards not in ways or std < ways[upwards].std:
-            ways[upwards] = _Weighing(std, run, candidates.alive[0, r])
+            ways[upwards] = _Weighing(
+                std,
+                run,
+                candidates.alive[0, r],
+            )
     return best
 
 
@@ -453,7 +478,11 @@ def _candidates(
     fits = (low > limits.lower + LIMIT_MARGIN) & (high < limits.upper - LIMIT_MARGIN)
     fits &= np.abs(off).max(axis=2) >= LITTLE_TRAVEL
     fits &= (alive.sum(axis=2) >= 2 * MIN_USED) & (clear >= CLEARANCE_M)
-    travel = np.where(start - low > high - start, low - start, high - start)
+    travel = np.where(
+        start - low > high - start,
+        low - start,
+        high - start,
+    )
     return _Candidates(problem, dq, alive, travel, clear, fits)
 
 
@@ -466,7 +495,13 @@ def _guesses(
 ) -> tuple[Problem, np.ndarray]:
     """The runs as a problem, and its unknowns with each mass in the hand, shape (S, N); see ``_candidates``."""
     if load is None:
-        unknowns = load_unknowns(robot, prepared, facts, Role.ESTIMATED, float(masses[0]))
+        unknowns = load_unknowns(
+            robot,
+            prepared,
+            facts,
+            Role.ESTIMATED,
+            float(masses[0]),
+        )
     else:
         unknowns = robot_unknowns(robot, prepared, Role.ESTIMATED)
     problem = Problem(robot, prepared, facts, unknowns)

@@ -108,7 +108,11 @@ def mass_from_motion(robot: Robot, motion: Motion, empty: int = 1) -> tuple[floa
         RecordingError: The motion is of no use.
     """
     rows = equations(robot, motion, motion.joints)
-    arm = Arm.of(robot, motion.joints, dict(motion.held))
+    arm = Arm.of(
+        robot,
+        motion.joints,
+        dict(motion.held),
+    )
     count = arm.count
     names = arm.model.joint_names
     shared = rows.design[:, : (PARAMETERS + 2) * count]

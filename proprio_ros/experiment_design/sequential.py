@@ -152,7 +152,11 @@ class _Excursion:
         near = np.abs(off) < MAX_TRAVEL
         under_way = np.concatenate([before, near[:, :-1]], axis=1)
         under_way = np.cumprod(under_way, axis=1).astype(bool)
-        ahead = np.where(under_way, q + v * LOOKAHEAD_S, start[:, None])
+        ahead = np.where(
+            under_way,
+            q + v * LOOKAHEAD_S,
+            start[:, None],
+        )
         here = np.where(under_way, q, start[:, None])
         return cls(
             np.minimum(ahead, here).min(axis=1),
@@ -203,7 +207,12 @@ class Catalogue:
         self.joints = tuple(joints or candidate_joints(robot))
         rest = bent_pose(robot)
         first = [self._still(joint, rest) for joint in self.joints]
-        every = Problem(robot, first, self.facts, self._unknowns(first))
+        every = Problem(
+            robot,
+            first,
+            self.facts,
+            self._unknowns(first),
+        )
         self._shared = SharedUnknowns(every)
         self.keys = self._shared.keys
         self.at = self._shared.at
@@ -212,7 +221,13 @@ class Catalogue:
         self._places = [place for joint in self.joints for place in self._places_of(joint)]
 
     def _unknowns(self, runs: Sequence[PreparedRun]) -> list:
-        return load_unknowns(self.robot, runs, self.facts, Role.ESTIMATED, 0.03)
+        return load_unknowns(
+            self.robot,
+            runs,
+            self.facts,
+            Role.ESTIMATED,
+            0.03,
+        )
 
     def _still(self, joint: str, pose: Mapping[str, float]) -> PreparedRun:
         return prepare_run(
@@ -249,7 +264,12 @@ class Catalogue:
         """Of one joint in one pose of the others."""
         runs = [_standing_at(still, q) for q in starts]
         joint = still.run.joint
-        problem = Problem(self.robot, runs, self.facts, self._unknowns(runs))
+        problem = Problem(
+            self.robot,
+            runs,
+            self.facts,
+            self._unknowns(runs),
+        )
         values = np.tile(problem.base, (2, 1))
         values[:, problem.index["payload_mass"]] = 0.0, 1.0
         values[:, problem.index["coulomb", joint]] = expected_coulomb(problem, joint)
@@ -560,7 +580,11 @@ class Catalogue:
             reading[:, None],
             np.abs(v) * self.robot.stamp_jitter_s,
         )
-        slopes = np.where(alive[..., None], slopes / sigma[..., None], 0.0)
+        slopes = np.where(
+            alive[..., None],
+            slopes / sigma[..., None],
+            0.0,
+        )
         size = len(self.keys)
         if is_known:
             known = [at for key, at in self.at.items() if key in PAYLOAD_TERMS]

@@ -68,7 +68,12 @@ class UntilSure(CatalogueChooser):
         sequence: ExcitationSequence,
         whole: Whole | None = None,
     ) -> None:
-        super().__init__(robot, sequence, Sought("mass", "kg"), whole)
+        super().__init__(
+            robot,
+            sequence,
+            Sought("mass", "kg"),
+            whole,
+        )
         self.catalogue = sequential.Catalogue(robot, facts)
         self.known = self.catalogue.nothing_known()
         self._found = Found(self.known.mass, self.known.std)
@@ -88,7 +93,12 @@ class UntilSure(CatalogueChooser):
         target_std: float,
     ) -> list[Push]:
         beside = time_of(self.robot, self._sequence, pose)
-        return self.catalogue.rank(self.known, beside, target_std, self._unknown_kg)
+        return self.catalogue.rank(
+            self.known,
+            beside,
+            target_std,
+            self._unknown_kg,
+        )
 
 
 def run_of(push: Push, robot: Robot) -> ExcitationRun:

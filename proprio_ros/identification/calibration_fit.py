@@ -70,7 +70,11 @@ class Noise:
 
     def near(self, other: Noise) -> bool:
         """Whether nothing differs by more than 2 %."""
-        return np.allclose(astuple(self), astuple(other), rtol=0.02)
+        return np.allclose(
+            astuple(self),
+            astuple(other),
+            rtol=0.02,
+        )
 
 
 @dataclass(frozen=True)
@@ -149,7 +153,11 @@ def foretold(
         The number of samples K, and their chi-square under the covariance of the prediction, near K where the run fits the others.
     """
     before = fitted.problem
-    problem = _problem(robot, [*fitted.problem.runs, run], fitted.noise)
+    problem = _problem(
+        robot,
+        [*fitted.problem.runs, run],
+        fitted.noise,
+    )
     values = np.array(
         [
             fitted.values[before.index[u.key]] if u.key in before.index else u.value

@@ -67,7 +67,11 @@ def reduced_model(
     held = {}
     for name, position in run.held.items():
         held[name] = position + shift.get(name, 0.0)
-    return robot.model.lock([run.joint], held, robot.gravity)
+    return robot.model.lock(
+        [run.joint],
+        held,
+        robot.gravity,
+    )
 
 
 def axis_and_gravity(
@@ -170,7 +174,12 @@ def at_poses(
         return arm, np.zeros((count, 4, 10))
     at = frames[robot.payload_frame][:, None]
     moved = at @ pseudo_inertia_basis() @ at.transpose(0, 1, 3, 2)
-    payload = joint_coefficients(moved, joint.kind, joint.axis, gravity[:, None])
+    payload = joint_coefficients(
+        moved,
+        joint.kind,
+        joint.axis,
+        gravity[:, None],
+    )
     payload = payload.transpose(0, 2, 1)
     return arm, np.broadcast_to(payload, (count, 4, 10))
 

@@ -588,7 +588,12 @@ def misfit_profile(
     best = fit.value_of(name)
     own = float(posterior.covariance[column, column])
     if not np.isfinite([fit.chi2, best, value, std, own]).all() or own <= 0.0:
-        return Scan(np.zeros(0), np.zeros(0), PROFILE, CHI2_95)
+        return Scan(
+            np.zeros(0),
+            np.zeros(0),
+            PROFILE,
+            CHI2_95,
+        )
     at = fit.values[problem.estimated]
     held = _Held(problem, column, inflation, at)
     unknown = problem.unknowns[problem.index[name]]

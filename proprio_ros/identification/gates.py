@@ -95,14 +95,23 @@ def unusable(run: PreparedRun) -> str:
     if jump:
         return sentences.position_jumps(jump)
     if abs(run.travel) < STUCK_TRAVEL:
-        return sentences.stuck(run.run.joint, abs(run.travel), LITTLE_TRAVEL, _moved_instead(run))
+        return sentences.stuck(
+            run.run.joint,
+            abs(run.travel),
+            LITTLE_TRAVEL,
+            _moved_instead(run),
+        )
     return ""
 
 
 def _moved_instead(run: PreparedRun) -> tuple[str, float] | None:
     """Which joint moved while the driven one did not, and how far [rad]; None: none did."""
     spans = run.run.held_span
-    farthest = max(spans, key=lambda joint: spans[joint], default="")
+    farthest = max(
+        spans,
+        key=lambda joint: spans[joint],
+        default="",
+    )
     if not farthest or spans[farthest] < LITTLE_TRAVEL / 2.0:
         return None
     return farthest, spans[farthest]
@@ -203,7 +212,13 @@ def stood_still(
         net, inertia = _left_to_move(robot, problem, values, run, current, held)
         lasted_s = float(run.run.times_s[-1] - run.run.times_s[0])
         if 0.5 * net.beyond_friction / inertia * lasted_s**2 >= LITTLE_TRAVEL:
-            return sentences.stood_still(run.run.name, joint, current, held, abs(net.torque))
+            return sentences.stood_still(
+                run.run.name,
+                joint,
+                current,
+                held,
+                abs(net.torque),
+            )
     return ""
 
 

@@ -114,7 +114,11 @@ def not_identifiable(code: str, withheld: str, sentence: str) -> Refusal:
 def wide(useful: Useful, sentence: str) -> Refusal:
     """The interval is wider than is useful: the value is given with its interval, or not stated at all."""
     if useful.verdict is Verdict.TOO_WIDE:
-        return Refusal(Verdict.TOO_WIDE, "", (Reason("too_wide", sentence),))
+        return Refusal(
+            Verdict.TOO_WIDE,
+            "",
+            (Reason("too_wide", sentence),),
+        )
     return not_identifiable(
         "says_too_little",
         "the interval is too wide to state a mass",
@@ -264,7 +268,12 @@ class Assessment:
             )
             if guessed or row.pull is None or abs(row.pull) <= FAR:
                 continue
-            known = shown(row.unit, row.prior, row.prior_std, between=" +- ")
+            known = shown(
+                row.unit,
+                row.prior,
+                row.prior_std,
+                between=" +- ",
+            )
             came_out = shown(row.unit, row.value)
             pull = abs(row.pull)
             far[row.name] = (

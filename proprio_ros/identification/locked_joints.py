@@ -331,7 +331,11 @@ def loads_of_yielding(
     segment_s = (
         float(driven.times_s[1]) if isinstance(driven, Followed) else 0.5 * float(driven.knots_s[1])
     )
-    begins = np.arange(0.0, float(run.times_s[-1]), segment_s)
+    begins = np.arange(
+        0.0,
+        float(run.times_s[-1]),
+        segment_s,
+    )
     rest = np.zeros(len(begins))
     still = []
     moving = []
@@ -405,7 +409,11 @@ def joint_torque(
     torque = np.zeros((len(motion[0][0]), len(inertias)))
     bodies: list[_Body] = []
     for n, (q, v, a) in enumerate(motion):
-        generator, moved = _joint_transform(model.kinds[n], model.axes[n], q)
+        generator, moved = _joint_transform(
+            model.kinds[n],
+            model.axes[n],
+            q,
+        )
         # generator and motion commute
         local = model.placement[n] @ moved
         by_q = local @ generator

@@ -110,7 +110,11 @@ def moving_part(
     total += values[:, columns] @ coefficients.arm_by_link
     change[:, :, columns] += coefficients.arm_by_link.T
     for column, by_load in load.by_unknown.items():
-        change[:, :, column] = np.einsum("sij,sj->si", lever, by_load)
+        change[:, :, column] = np.einsum(
+            "sij,sj->si",
+            lever,
+            by_load,
+        )
     total += np.einsum("sij,sj->si", lever, load.parameters)
     for pose, shift in enumerate(shifts):
         by_shift = (

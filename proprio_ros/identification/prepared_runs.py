@@ -100,7 +100,11 @@ class PreparedRun:
     def start_velocity(self) -> float:
         """Slope of the first samples [rad/s]: with what a free swing about begins."""
         first = max(int(np.searchsorted(self.times_s, SLOPE_S)), 3)
-        line = np.polyfit(self.times_s[:first], self.position[:first], 1)
+        line = np.polyfit(
+            self.times_s[:first],
+            self.position[:first],
+            1,
+        )
         return float(line[0])
 
     @property
@@ -409,7 +413,11 @@ def rank_correlation(one: np.ndarray, other: np.ndarray) -> float:
 
 def _ranks(values: np.ndarray) -> np.ndarray:
     """About their mean; equal values share one, shape (K,)."""
-    _, which, counts = np.unique(values, return_inverse=True, return_counts=True)
+    _, which, counts = np.unique(
+        values,
+        return_inverse=True,
+        return_counts=True,
+    )
     last = np.cumsum(counts)
     return (last - 0.5 * (counts - 1) - 0.5 * (len(values) + 1))[which]
 

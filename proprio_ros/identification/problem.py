@@ -232,7 +232,13 @@ class Problem:
         dp = np.zeros((guesses, len(self.runs), width, len(self.unknowns)))
         payload = self.payload(values) if "payload_mass" in self.index else None
         for row in range(len(self.runs)):
-            self._fill(row, values, payload, p[:, row], dp[:, row])
+            self._fill(
+                row,
+                values,
+                payload,
+                p[:, row],
+                dp[:, row],
+            )
         return p, dp
 
     # ------------------------------------------------------------------------------------------------- What the runs are made of
@@ -705,7 +711,11 @@ class Problem:
         guesses = len(physical)
         values = self.all_values(physical) if self.ripples else physical
         q, _, dq, direct = self._rollout(p, dp, counts)
-        dp = dp.reshape(guesses, len(self.runs), *dp.shape[1:])
+        dp = dp.reshape(
+            guesses,
+            len(self.runs),
+            *dp.shape[1:],
+        )
         # run by run: a run is touched by few of many unknowns
         for row, columns in enumerate(self._touching):
             count = int(counts[row])

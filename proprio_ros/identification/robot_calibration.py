@@ -134,12 +134,21 @@ def calibrate(
     if swings:
         fitted = with_another_rise(fitted)
     learnt = _Learnt.of(robot, fitted)
-    verdict, reasons, calibration = _verdict(robot, learnt, left_out, len(usable))
+    verdict, reasons, calibration = _verdict(
+        robot,
+        learnt,
+        left_out,
+        len(usable),
+    )
     if swings and verdict is Verdict.ACCEPTED:
         calibration = _with_own_friction(robot, fitted.problem.runs, calibration)
     reasons += _remarks(learnt, left_out, len(usable))
     found.notes += _notes(fitted, usable)
-    fits, rms, expected = run_fits(fitted.problem, fitted.values, fitted.problem.runs)
+    fits, rms, expected = run_fits(
+        fitted.problem,
+        fitted.values,
+        fitted.problem.runs,
+    )
     residual = fitted.posterior.residual
     chi2 = float(residual @ residual) / len(residual)
     return CalibrationEstimate(
@@ -202,7 +211,11 @@ def _verdict(
     ]
     if refusals:
         return Verdict.REJECTED, refusals, learnt.whole
-    return _separated(learnt.whole, learnt.fitted.problem.runs, learnt.one_way)
+    return _separated(
+        learnt.whole,
+        learnt.fitted.problem.runs,
+        learnt.one_way,
+    )
 
 
 def _remarks(learnt: _Learnt, left_out: Sequence[str], count: int) -> list[str]:

@@ -41,7 +41,11 @@ def draw_drive_trains(unknowns: tuple[UnknownRow, ...]) -> Any:
     height = 1.1 + 2 * (0.55 + 0.28 * len(joints))
     with drawn(9.2, height, nrows=2, ncols=3, sharey=True) as (figure, axes):
         for axis, term in zip(axes.ravel(), terms, strict=True):
-            _draw_term(axis, term, [rows.get((term, joint)) for joint in joints])
+            _draw_term(
+                axis,
+                term,
+                [rows.get((term, joint)) for joint in joints],
+            )
             names = [plain(_short(joint, 32)) for joint in joints[::-1]]
             axis.set_yticks(range(len(joints)), names)
         return figure
@@ -58,8 +62,22 @@ def _draw_term(axis: Any, term: str, rows: Sequence[UnknownRow | None]) -> None:
         for value, std, height, color in (before, now):
             low = max(value - Z95 * std, least)
             width = value + Z95 * std - low
-            axis.barh(place, width, left=low, height=height, color=color, linewidth=0)
-        axis.plot(max(row.value, least), place, "|", color=INK, markersize=9, markeredgewidth=1.6)
+            axis.barh(
+                place,
+                width,
+                left=low,
+                height=height,
+                color=color,
+                linewidth=0,
+            )
+        axis.plot(
+            max(row.value, least),
+            place,
+            "|",
+            color=INK,
+            markersize=9,
+            markeredgewidth=1.6,
+        )
     kind = KINDS[term]
     axis.set_title(f"{kind.label} ({kind.unit.replace('^2', '²')})", fontsize=9.5, loc="left")
     axis.grid(axis="y", visible=False)
@@ -93,14 +111,25 @@ def correlation_figure(calibration: Calibration) -> str:
         )
         axis.invert_yaxis()
         axis.set_aspect("equal")
-        axis.set_xticks(range(len(names)), names, rotation=90, fontsize=7.5)
+        axis.set_xticks(
+            range(len(names)),
+            names,
+            rotation=90,
+            fontsize=7.5,
+        )
         axis.set_yticks(range(len(names)), names, fontsize=7.5)
         axis.grid(visible=False)
         for spine in axis.spines.values():
             spine.set_visible(False)
         # so few steps that the bar is drawn as shapes, not embedded as an image
         steps = np.linspace(-1.0, 1.0, 41)
-        figure.colorbar(picture, ax=axis, shrink=0.7, label="correlation", boundaries=steps)
+        figure.colorbar(
+            picture,
+            ax=axis,
+            shrink=0.7,
+            label="correlation",
+            boundaries=steps,
+        )
         return svg(figure, "Correlations between the unknowns of the calibration")
 
 

@@ -137,7 +137,11 @@ def _weighed(estimate: CalibrationEstimate) -> list[str]:
     rows = []
     for each in estimate.weighed_empty:
         spec = spec_for("kg", each.half_width / Z95)
-        held = shown("kg", loads.get(each.name, 0.0), spec=".0f")
+        held = shown(
+            "kg",
+            loads.get(each.name, 0.0),
+            spec=".0f",
+        )
         rows.append(
             [
                 each.name,

@@ -132,7 +132,11 @@ def chart(panels: Sequence[Panel], axis: Axis, name: str) -> str:
         name: For those who cannot see it.
     """
     every = np.concatenate([series.x for panel in panels for series in panel.series])
-    across = _Scale.about(_of(every, axis.log), axis.log, 0.01)
+    across = _Scale.about(
+        _of(every, axis.log),
+        axis.log,
+        0.01,
+    )
     top = 0.0
     body = []
     edges = []
@@ -222,7 +226,11 @@ def _curve(series: Series, places: Sequence[str], unit: str) -> str:
     if series.kind == "dots":
         line = "".join(f"M{place}h0" for place in places)
     elif series.kind == "pairs":
-        pairs = zip(places[::2], places[1::2], strict=True)
+        pairs = zip(
+            places[::2],
+            places[1::2],
+            strict=True,
+        )
         line = "".join(f"M{low}L{high}" for low, high in pairs)
     elif series.kind == "steps":
         steps = [f"H{place.partition(',')[0]}L{place}" for place in places[1:]]
@@ -271,7 +279,11 @@ def _ticks(
     if log:
         digits_shown = (1,) if high - low > 1.5 else (1, 2, 5)
         every = max(1, math.ceil((high - low) / most))
-        decades = range(math.floor(low), math.ceil(high) + 1, every)
+        decades = range(
+            math.floor(low),
+            math.ceil(high) + 1,
+            every,
+        )
         values = [digit * 10.0**decade for decade in decades for digit in digits_shown]
         return [
             (math.log10(v), f"{v:g}".replace("e+0", "e"))

@@ -124,7 +124,11 @@ def _leaner(text: str) -> str:
     )
     # powers of ten lack it
     text = text.replace("font-family: 'DejaVu Sans';", "font-family: 'DejaVu Sans', sans-serif;")
-    return re.sub(r"\s+", " ", re.sub(r">\s+<", "><", text))
+    return re.sub(
+        r"\s+",
+        " ",
+        re.sub(r">\s+<", "><", text),
+    )
 
 
 def runs_figure(fits: Sequence[RunFit]) -> Any:

@@ -48,7 +48,12 @@ def words_figure(title: str, sentences: Sequence[str]) -> Any:
     lines = [line for sentence in sentences for line in textwrap.wrap(sentence, 88) or [""]]
     with drawn(7.4, 0.7 + 0.24 * len(lines)) as (figure, axis):
         axis.set_axis_off()
-        axis.set_title(plain(title), loc="left", fontsize=10.5, fontweight="bold")
+        axis.set_title(
+            plain(title),
+            loc="left",
+            fontsize=10.5,
+            fontweight="bold",
+        )
         axis.text(
             0.0,
             1.0,
@@ -94,7 +99,11 @@ def bars_figure(
         axis.set_xlim(left=0.0)
         axis.grid(axis="y", visible=False)
         more = f" ({len(bars) - MOST_ROWS} more are not shown)" if len(bars) > MOST_ROWS else ""
-        axis.set_title(plain(title + more), loc="left", fontsize=9.5)
+        axis.set_title(
+            plain(title + more),
+            loc="left",
+            fontsize=9.5,
+        )
         axis.set_xlabel(unit)
         return figure
 
@@ -140,7 +149,11 @@ def series_figure(
             loc="left",
             fontsize=9.5,
         )
-        axis.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), fontsize=8.0)
+        axis.legend(
+            loc="center left",
+            bbox_to_anchor=(1.0, 0.5),
+            fontsize=8.0,
+        )
         return figure
 
 

@@ -182,7 +182,11 @@ def _scan(estimate: Estimate) -> list[str]:
 def _headline(estimate: Estimate) -> list[str]:
     runs = f"{estimate.runs} run" + "s" * (estimate.runs != 1)
     title = f"{estimate.probe} in the hand of {estimate.robot}, {runs}"
-    parts = titled(title, estimate.verdict.value, _verdict_in_words(estimate.verdict))
+    parts = titled(
+        title,
+        estimate.verdict.value,
+        _verdict_in_words(estimate.verdict),
+    )
     for place, value in enumerate(estimate.values):
         if value.known and len(value.parts) == 6:
             continue  # an inertia has its lines below
@@ -211,7 +215,12 @@ def _in_words(value: Value, interval_first: bool = False) -> str:
     std = value.std if isinstance(value.std, float) else None
     spec = spec_for(value.unit, std)
     if interval_first and isinstance(value.ci95, list):
-        return shown(value.unit, *value.ci95, spec=spec, between=" to ")
+        return shown(
+            value.unit,
+            *value.ci95,
+            spec=spec,
+            between=" to ",
+        )
     return shown(value.unit, value.value, spec=spec)
 
 
@@ -304,7 +313,12 @@ def _value_table(values: Sequence[Value]) -> str:
     if any(row[-1] for row in rows):
         header.append("")
     rows = [row[: len(header)] for row in rows]
-    return table(header, rows, numbers=(1, 2, 3), labels=1)
+    return table(
+        header,
+        rows,
+        numbers=(1, 2, 3),
+        labels=1,
+    )
 
 
 def _numbers_of(value: Value) -> list[str]:
@@ -328,7 +342,12 @@ def _unknown_table(unknowns: Sequence[UnknownRow]) -> str:
         found = within(row.value, row.std)
         rows.append([row.label, role, prior, found, pull, _typeset(row.unit)])
     header = ["unknown", "role", "prior", "open fit", "pull", "unit"]
-    return table(header, rows, numbers=(2, 3, 4), labels=1)
+    return table(
+        header,
+        rows,
+        numbers=(2, 3, 4),
+        labels=1,
+    )
 
 
 def _fit_table(fit: Fit, of_motions: bool) -> str:

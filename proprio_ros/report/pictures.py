@@ -243,7 +243,12 @@ def convergence_figure(estimate: Estimate) -> str:
     ]
     if first >= 0 and solver.refined:
         one = series[first]
-        series[first] = Series("robot as stated", one.x, one.y, one.color)
+        series[first] = Series(
+            "robot as stated",
+            one.x,
+            one.y,
+            one.color,
+        )
     begin = max(len(path.values) for path in solver.paths) - 1
     series += [
         curve(path, begin, "all open", "answer", n == 0) for n, path in enumerate(solver.refined)

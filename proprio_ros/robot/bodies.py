@@ -231,7 +231,12 @@ def _ball(each: Stated, mass: float) -> tuple[Link, _Mend]:
 
 def _mend(each: Stated, how: str, moment: float) -> _Mend:
     """Of a body whose mass and place are as stated, by its largest moment that is another one [kg m^2]."""
-    return _Mend(each.name, how, centre_m=_length(each.at[:3, 3]), moment=moment)
+    return _Mend(
+        each.name,
+        how,
+        centre_m=_length(each.at[:3, 3]),
+        moment=moment,
+    )
 
 
 def _inertia_of(second: FloatArray) -> FloatArray:
@@ -403,7 +408,11 @@ def _judge(tree: _Tree, mends: Sequence[_Mend], result: Bodies) -> None:
         alike = [mend for mend in mends if mend.how == how]
         names = [mend.link for mend in alike]
         parts = _added(taken[name] for name in names)
-        where = max(parts, key=lambda joint: parts[joint], default="")
+        where = max(
+            parts,
+            key=lambda joint: parts[joint],
+            default="",
+        )
         share = parts[where]
         part = f"{_percent(share)} of the torque at {where}"
         too_much = [name for name in names if _matters(taken[name], total)]

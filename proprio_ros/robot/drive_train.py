@@ -39,7 +39,11 @@ class FingerTravel:
             len(self.at_rad),
             3,
         )
-        fit = np.polynomial.Polynomial.fit(self.at_rad, self.open_m, degree)
+        fit = np.polynomial.Polynomial.fit(
+            self.at_rad,
+            self.open_m,
+            degree,
+        )
         fitted = fit.convert().coef
         slopes = [*map(float, fitted[1:]), 0.0, 0.0]
         return slopes[0], slopes[1], slopes[2]

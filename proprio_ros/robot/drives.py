@@ -47,7 +47,11 @@ class Goal:
             raise RecordingError(
                 f"{apart}: stamp both by one clock, that of the computer that records them"
             )
-        steps_s = np.arange(first, float(times_s[-1]) + STEP_S, STEP_S)
+        steps_s = np.arange(
+            first,
+            float(times_s[-1]) + STEP_S,
+            STEP_S,
+        )
         limited = self.position[self._rows(steps_s)].copy()
         for row in range(1, len(limited)):
             step = limited[row] - limited[row - 1]
@@ -174,7 +178,11 @@ class PositionServo(Drive):
         distance = goal.at(times_s - delay_s, self.goal_speed_rad_s) - position
         beyond = np.maximum(np.abs(distance) - self.dead_band_rad, 0.0)
         distance = np.sign(distance) * beyond
-        return np.clip(self.gain_per_rad * distance, -self.limit, self.limit)
+        return np.clip(
+            self.gain_per_rad * distance,
+            -self.limit,
+            self.limit,
+        )
 
 
 KINDS_OF_DRIVE: Mapping[str, type[Drive]] = {kind.kind: kind for kind in (DutyCycle, PositionServo)}

@@ -232,7 +232,12 @@ class _JointWriter:
             return self._stated(key, entry, 1, "torque is recorded, not current: ")
         if key == NOMINAL:
             about = f"; 1 where torque is recorded, not current; {_words(entry)}"
-            return _line(6, key, None, STATE + (about if self.explained else ""))
+            return _line(
+                6,
+                key,
+                None,
+                STATE + (about if self.explained else ""),
+            )
         if key == "current_limit_A" and self.torque_recorded and limit <= MOST_EFFORT:
             return self._stated(key, entry, limit, f"{self.unit}, its URDF's: ")
         return self._by_default(6, key, entry)
@@ -260,12 +265,22 @@ class _JointWriter:
 
     def _stated(self, key: str, entry: Field, value: Any, mark: str = "") -> str:
         """A value, and why that one before what the key is for."""
-        return _line(6, key, value, mark + _words(entry) if self.explained else "")
+        return _line(
+            6,
+            key,
+            value,
+            mark + _words(entry) if self.explained else "",
+        )
 
     def _by_default(self, indent: int, key: str, entry: Field, mark: str = "") -> str:
         """The default; a mark stands there in any case."""
         words = mark + _words(entry) if self.explained or mark else ""
-        return _line(indent, key, _default(entry, self.model, self.joint.name), words)
+        return _line(
+            indent,
+            key,
+            _default(entry, self.model, self.joint.name),
+            words,
+        )
 
 
 def _default(entry: Field, model: RobotModel, joint: str = "") -> Any:
