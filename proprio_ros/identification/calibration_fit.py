@@ -25,7 +25,7 @@ from proprio_ros.identification.robot_unknowns import (
     RISE,
     robot_unknowns,
 )
-from proprio_ros.identification.scatter import rms_spread
+from proprio_ros.identification.scatter import median_spread
 from proprio_ros.identification.swings import (
     MISSED_SHARE,
     missed_share,
@@ -77,6 +77,31 @@ class Noise:
         )
 
 
+class _Approach:
+    """Rounds towards the torque that differs from run to run, with smaller steps each time they turn round.
+
+    A fit under a small spread finds evidence of a large one, and the other way round, where runs are far from linear in it.
+    """
+
+    def __init__(self) -> None:
+        self._turns = 0
+        self._way = 0.0  # of the last step, in logarithms
+
+    def towards(self, found: Noise, before: Noise) -> Noise:
+        """What the next fit takes.
+
+        ``found``: by the evidence under ``before``.
+        """
+        if not found.torque_disturbance or not before.torque_disturbance:
+            return found
+        way = float(np.log(found.torque_disturbance / before.torque_disturbance))
+        if way * self._way < 0.0:
+            self._turns += 1
+        self._way = way
+        step = np.exp(way / (1.0 + self._turns))
+        return replace(found, torque_disturbance=float(before.torque_disturbance * step))
+
+
 @dataclass(frozen=True)
 class Fitted:
     """Where the fit of runs with known loads ended."""
@@ -112,10 +137,12 @@ def fit(robot: Robot, runs: Sequence[PreparedRun]) -> Fitted:
         iterations=most,
     )
     values = FitResult.of(problem, solution).values
+    approach = _Approach()
     for _ in range(EVIDENCE_ROUNDS):
         posterior = Posterior(problem, values)
         before = noise
         noise = (_swing_evidence if swings else _evidence)(robot, problem, posterior, noise)
+        noise = approach.towards(noise, before)
         problem = _problem(robot, runs, noise)
         start = problem.coordinates.internal(values[problem.estimated][None])
         values = FitResult.of(
@@ -314,7 +341,7 @@ def _torque_spread(robot: Robot, problem: Problem, posterior: Posterior) -> floa
     columns = [place.index(index) for index in indices]
     prior = np.square([problem.unknowns[index].std for index in indices])
     known = np.square([problem.runs[row].current_torque_std for row in rows])
-    return rms_spread(
+    return median_spread(
         stated,
         known,
         found,

@@ -36,14 +36,16 @@ def under(
     return 0.5 * float(side @ values - np.linalg.slogdet(widened)[1]), values
 
 
-def rms_spread(
+def median_spread(
     stated: float,
     known: FloatArray,
     found: FloatArray,
     covariance: FloatArray,
     prior: FloatArray,
 ) -> float:
-    """Root mean square of the standard deviations that T terms may have in common, each as likely as it makes the data.
+    """Median of the standard deviations that T terms may have in common, each as likely as it makes the data.
+
+    Without data it is the one that is expected.
 
     What was fitted beside the terms takes part of them up, so their estimates are no sample of them: a machine that repeats is not
     told by small estimates, but by data that need no such terms.
@@ -63,4 +65,5 @@ def rms_spread(
     logs = np.array([under(each, information, side)[0] for each in variances])
     # equal steps of the logarithm
     weights = half_cauchy(factors) * factors * np.exp(logs - logs.max())
-    return float(stated * np.sqrt(weights @ np.square(factors) / weights.sum()))
+    below = np.cumsum(weights) / weights.sum()
+    return float(stated * np.exp(np.interp(0.5, below, np.log(factors))))

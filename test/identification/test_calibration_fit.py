@@ -7,7 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from proprio_ros.identification.calibration_fit import PSEUDO_RUNS, Noise, spread_of_runs
+from proprio_ros.identification.calibration_fit import (
+    EVIDENCE_ROUNDS,
+    PSEUDO_RUNS,
+    Noise,
+    _Approach,
+    spread_of_runs,
+)
 
 
 def test_few_runs_leave_the_files_word_and_many_replace_it() -> None:
@@ -29,3 +35,17 @@ def test_two_per_cent_is_near() -> None:
     assert noise.near(replace(noise, residual_scale=1.01)) and not noise.near(
         replace(noise, stamp_jitter_s=4e-4)
     )
+
+
+def test_a_spread_whose_evidence_swings_is_approached() -> None:
+    approach = _Approach()
+    noise = Noise(1.0, 0.0, 1e-3, 0.0, 0.0, 0.0)
+    for _ in range(EVIDENCE_ROUNDS):
+        found = 9e-3 if noise.torque_disturbance < 1e-3 else 0.4e-3
+        noise = approach.towards(replace(noise, torque_disturbance=found), noise)
+    assert noise.torque_disturbance == pytest.approx(1e-3, rel=0.5)
+
+
+def test_a_spread_that_is_stated_to_be_none_stays_none() -> None:
+    noise = Noise(1.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    assert _Approach().towards(noise, noise) == noise
