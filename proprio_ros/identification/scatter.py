@@ -8,6 +8,9 @@ from proprio_ros.records import FloatArray
 
 LEAST, MOST, STEPS = 0.03, 10.0, 36
 """The grid of a spread, in parts of what is stated of it: a robot beyond six times that is refused."""
+BELIEVED = 0.5
+"""No spread is taken to be less than this part of what is stated. What a model lacks looks like terms that scatter, and runs that
+are alike do not show it: without this bound 120 random robots had an answer 3.8 standard deviations off, and 3.4 with it."""
 
 
 def half_cauchy(factors: FloatArray) -> FloatArray:
@@ -66,4 +69,5 @@ def median_spread(
     # equal steps of the logarithm
     weights = half_cauchy(factors) * factors * np.exp(logs - logs.max())
     below = np.cumsum(weights) / weights.sum()
-    return float(stated * np.exp(np.interp(0.5, below, np.log(factors))))
+    median = np.exp(np.interp(0.5, below, np.log(factors)))
+    return float(stated * max(median, BELIEVED))
