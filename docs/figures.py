@@ -390,7 +390,10 @@ def _speed_row(
 
 def _is_shown(row: Mapping[str, Any]) -> bool:
     """Whether a row of the comparison has a goal, or is what others are compared with."""
-    return bool(row["goal"]) or (row["what"].startswith("ours: ") and not row["ratio"])
+    if row["goal"]:
+        return True
+    alone = row["what"].startswith("ours: forward pass")
+    return row["what"].startswith("ours: ") and not row["ratio"] and not alone
 
 
 def speed() -> str:

@@ -90,7 +90,7 @@ class Results:
         kept = {
             **self._run,
             "seconds": round(time.monotonic() - self._began),
-            "tables": self.tables,
+            "tables": {name: table for name, table in self.tables.items() if table["rows"]},
         }
         self.file.parent.mkdir(parents=True, exist_ok=True)
         self.file.write_text(text_of(kept), encoding="utf-8")
