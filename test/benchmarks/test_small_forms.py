@@ -101,7 +101,7 @@ SMALL: dict[str, tuple[str, ...]] = {
 ELSEWHERE = {
     "against_c", "against_mujoco", "against_scipy", "against_substeps", "bus", "calibrated", "container", "fresh_process",
     # parts of run.py; bus: test/bus/test_cycle.py, where the computer is not shared
-    "gpu", "planned", "softness",
+    "gpu", "planned", "softness", "waits",
     "answers", "batch", "motion_bound", "random_arm", "run",  # below, and in test_motion_bound.py
     "contents_bound",  # of a law, without recordings: its table is kept
     # minutes a seed: test/excitation/test_late_efforts.py calibrates such an arm
@@ -112,6 +112,9 @@ ELSEWHERE = {
     "live",
     # what real processes take while nothing is done: in real time, where the computer is not shared
     "idle",
+    "pendant",  # its page in a browser, for minutes: test/addons/pendant clicks through it
+    "soak",  # an hour, beside a load
+    "softness_live",  # minutes a gripper: test/world asks the same for one
     "old_news",  # beside a load, for minutes: test/world/test_old_news.py asks the same in simulated time
     "first_time", "public_urdfs",  # ask an index of packages, for minutes: test/robot/test_published_urdfs.py has one file a kind
     "case", "figures", "filled_arm", "results",  # no benchmarks

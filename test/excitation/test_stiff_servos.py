@@ -88,7 +88,7 @@ def test_goals_that_come_late_are_left_out(weighed: Callable[[], Estimate]) -> N
     assert told.verdict is Verdict.ACCEPTED, told.reasons
     assert mass.ci95[0] <= 0.5 <= mass.ci95[1]
     assert mass.ci95[1] - mass.value < 0.075, "0.11 with the goals that came late"
-    assert any("goals came into effect late" in note for note in told.notes)
+    assert any("did not follow the goals as recorded" in note for note in told.notes)
 
 
 @pytest.mark.long

@@ -67,12 +67,13 @@ def moved_only_loaded(fit: MotionFit) -> tuple[str, ...]:
 
 
 def heard_late(fit: MotionFit) -> tuple[str, ...]:
-    """A sentence about goals that were late."""
+    """A sentence about goals that joints did not follow as recorded."""
     if fit.problem.late_share == 0.0:
         return ()
     share = f"{100.0 * fit.problem.late_share:.1f} %"
     return (
-        f"goals came into effect late in {share} of the windows, as the joints show: these were left out",
+        f"in {share} of the windows joints did not follow the goals as recorded, which came late or were cut off: these were left "
+        "out",
     )
 
 

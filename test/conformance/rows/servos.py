@@ -59,13 +59,20 @@ def _heard(
     )
 
 
-def _of_arm(bend: str, trouble: str, cause: str, **parameters: float | str) -> Row:
+def _of_arm(
+    bend: str,
+    trouble: str,
+    cause: str,
+    verdicts: tuple[str, ...] = REFUSED,
+    **parameters: float | str,
+) -> Row:
     """Goals of a simulated SO-101 that are not what its servos heard, with the very cause.
 
     Args:
         bend: Its name.
         trouble: What it is.
         cause: Regular expression that names it.
+        verdicts: That are right.
         parameters: Of the bend.
     """
     return Row(
@@ -74,8 +81,8 @@ def _of_arm(bend: str, trouble: str, cause: str, **parameters: float | str) -> R
         trouble=trouble,
         base="so101_1",
         bends=(Bent(bend, parameters, _LOADED),),
-        verdicts=REFUSED,
-        codes=("other_torque",),
+        verdicts=verdicts,
+        codes=("other_torque",) if verdicts == REFUSED else (),
         cause=cause,
         unsaid=r"same driver, unit|in another unit",
     )
@@ -94,7 +101,8 @@ ROWS = (
     _of_arm(
         "goals_clipped",
         "an elbow's servo keeps within limits of its own",
-        r"servo of elbow_flex kept within",
+        r"servo of elbow_flex kept within|did not follow the goals as recorded",
+        verdicts=VERDICTS,  # windows in which the goals were cut off are left out, or it is refused
         joint="elbow_flex",
         share=0.2,
     ),
