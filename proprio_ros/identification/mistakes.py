@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 from math import pi
@@ -54,11 +54,11 @@ class Exchanged(Mistake):
         return {name: values[names.get(name, name)] for name in values}
 
 
-def of_held(run: Run) -> Iterator[Mistake]:
-    """Those of the joints that were held while one was pushed."""
-    for one, other in combinations(run.held, 2):
-        recorded = {one, other} <= run.held_position.keys()
-        if recorded and abs(run.held[one] - run.held[other]) > APART_RAD:
+def of_held(runs: Sequence[Run]) -> Iterator[Mistake]:
+    """Those of the joints that were held, in every run, while others were pushed."""
+    held = [name for name in runs[0].held if all(name in run.held_position for run in runs)]
+    for one, other in combinations(held, 2):
+        if any(abs(run.held[one] - run.held[other]) > APART_RAD for run in runs):
             words = f"the positions of {one} and {other} are exchanged"
             yield Exchanged(words, joints=(one, other))
 

@@ -654,7 +654,7 @@ class Weighed(Conclusion):
         mistakes = of_joint(", ".join(joints_of(self.runs)), "current", "fits")
         asked = [mistake for mistake in mistakes if abs(mistake.torque) in factors]
         if self.known:  # an arm that only its file describes may be off by as much
-            asked += of_held(self.runs[0].run)
+            asked += of_held([each.run for each in self.runs])
         tried = [(fit.reduced_chi2, fit.explains, words) for words, fit in self._without(*asked)]
         chi2, explains, words = min(tried, default=(np.inf, False, ""))
         only = light and len({said for _, explained, said in tried if explained}) == 1
