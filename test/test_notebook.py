@@ -24,8 +24,8 @@ def test_the_first_notebook() -> None:
     assert all("<svg" in cell.svg for cell in (drives, fit))
     assert (
         ">accepted<" in ball.html
-        and ">49.1 g<" in ball.html
-        and "49.1 g, and between" in fit.printed
+        and ">49.0 g<" in ball.html
+        and "49.0 g, and between" in fit.printed
     )
     for refusal in (open_arm, stuck):
         assert "not identifiable" in refusal.html
