@@ -52,23 +52,24 @@ def serve(pendant: Pendant, host: str, port: int, begin: Callable[[], object]) -
     gc.enable()
     door = _bound(host, port)
     token = secrets.token_urlsafe(24)
-    begin()
-    pendant.open()
-    named = f"[{host}]" if ":" in host else host
-    pendant.tell(f"open http://{named}:{door.getsockname()[1]}/?token={token}")
-    pendant.tell("whoever has this address may move the arm; Ctrl-C ends the pendant")
     config = uvicorn.Config(
         Gate(_site(pendant), token),
         http="h11",
         ws_max_size=LONGEST_MESSAGE,
         log_level="error",
-        access_log=False,
         server_header=False,
         timeout_graceful_shutdown=1,
     )
-    # the server tells this process once more what has ended it
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
-    uvicorn.Server(config).run(sockets=[door])
+    server = uvicorn.Server(config)
+    # they count before the server listens to them, too: whatever is interrupted there may not pass them on
+    signal.signal(signal.SIGINT, server.handle_exit)
+    signal.signal(signal.SIGTERM, server.handle_exit)
+    begin()
+    pendant.open()
+    named = f"[{host}]" if ":" in host else host
+    pendant.tell(f"open http://{named}:{door.getsockname()[1]}/?token={token}")
+    pendant.tell("whoever has this address may move the arm; Ctrl-C ends the pendant")
+    server.run(sockets=[door])
 
 
 def _bound(host: str, port: int) -> socket.socket:
@@ -86,7 +87,7 @@ def _bound(host: str, port: int) -> socket.socket:
 
 def _site(pendant: Pendant) -> FastAPI:
     """The application: pages, and STOP as a request of its own that needs no page to be well."""
-    site = FastAPI(docs_url=None, redoc_url=None, openapi_url=None)
+    site = FastAPI(openapi_url=None)
 
     @site.post("/stop")
     async def stop() -> PlainTextResponse:
