@@ -38,6 +38,7 @@ from proprio_ros.robot import Robot
 pytestmark = pytest.mark.long
 
 SEED = 2026
+RUN_TORQUE_N_M = 1e-3  # As the robot file has it.
 WORST = 0.05
 
 
@@ -232,7 +233,7 @@ def test_intervals_on_robots_that_learnt_themselves() -> None:
     answers = []
     refused = []
     for seed in (2000, 2003):
-        found, why = one_robot((seed, EFFECTS))
+        found, why = one_robot((seed, EFFECTS, RUN_TORQUE_N_M))
         answers += found
         refused += why
     assert len(answers) >= 7 and set(refused) <= {"stuck"}, refused
