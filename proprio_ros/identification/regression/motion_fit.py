@@ -489,6 +489,7 @@ def fit_payload(
         calibration,
         priors,
         centre,
+        least,
     )
     carrying = problem.carrying
     stretches = problem.stretches_of(
@@ -541,6 +542,7 @@ def _payload_problem(
     calibration: MotionCalibration,
     priors: Priors,
     centre: Centre | None,
+    least: int,
 ) -> Problem:
     """The equations of motions, of which the first ones hold the payload; as `fit_payload` has them."""
     place = None if centre is None else centre[0]
@@ -552,6 +554,8 @@ def _payload_problem(
         place,
     )
     _refuse_other_joints(loaded, problem, calibration)
+    # of too few nothing can be fitted
+    problem.stretches_of(problem.carrying, loaded[0].name, better_s=15.0, least=least)
     return heard_in_time(problem, priors, motions, calibration)
 
 
