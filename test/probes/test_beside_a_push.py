@@ -167,7 +167,8 @@ def test_zeros_that_are_known_to_repeat_cost_nothing(arm: Robot) -> None:
     wide = asked(replace(arm, zero_repeat=0.005), recorded(BALL)).values[0]
     assert narrow.std < 0.5 * wide.std
     as_stated = asked(arm, recorded(BALL)).values[0]
-    assert narrow.std < as_stated.std < 1.2 * narrow.std
+    # a milliradian, beside a robot whose torque differs little from run to run
+    assert narrow.std < as_stated.std < 1.3 * narrow.std
 
 
 @pytest.mark.parametrize("folder", [BALL, HEAVY_BALL, CUBE, LOWERED])
