@@ -512,7 +512,8 @@ def test_gradient_of_the_cost(realistic: Boxes, law: str, mass: float) -> None:
         elif name.startswith(("coulomb", "viscous", "load_friction", "stribeck")):
             base[row] = max(abs(base[row]), 1e-3)
     base = np.clip(base, lower + 1e-9, upper - 1e-9)
-    assert_gradient_of_the_cost(problem, base, step=1e-5, least=1e-3)
+    # a step of 1e-5 meets a kink: a contact that begins a sample later
+    assert_gradient_of_the_cost(problem, base, step=1e-6, least=1e-3)
 
 
 def test_a_camera_makes_it_surer(realistic: Boxes) -> None:
