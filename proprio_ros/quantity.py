@@ -11,6 +11,8 @@ from proprio_ros.errors import RobotError
 
 _MARKS = re.compile(r"[\s.*·⋅_-]")
 Z95 = 1.959963984540054  # Half width of a 95 % interval in standard deviations (normal).
+# Standard deviation of a normal distribution over its median absolute deviation.
+MAD_TO_STD = 1.4826
 
 
 @dataclass(frozen=True)

@@ -17,9 +17,8 @@ class JointSample:
     time_s: float  # when it was taken, on the clock of `ExcitationMachine.tick` [s]
     position: Mapping[str, float]  # by joint [rad or m]
     velocity: Mapping[str, float]  # by joint [rad/s or m/s]
-    stamp_s: float = (
-        math.nan
-    )  # when positions were read, by whoever read them; only differences count [s]
+    # when positions were read, by whoever read them; only differences count [s]
+    stamp_s: float = math.nan
 
 
 @dataclass(frozen=True)

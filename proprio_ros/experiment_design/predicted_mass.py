@@ -45,9 +45,8 @@ WITHIN = 0.3  # an object lies within this share of the arm's reach
 # first moments and inertia are those of an object of this part of the arm's mass
 SMALL_SHARE = 0.05
 WORTH = 0.9  # of a half width, at most, that has to be left for another recording to be worth it
-LOAD_STDS = (
-    40.0  # a known load of so many of its standard deviations tells torque constants to 2.5 %
-)
+# A known load of so many of its standard deviations tells torque constants to 2.5 %.
+LOAD_STDS = 40.0
 
 
 @dataclass(frozen=True)

@@ -336,10 +336,9 @@ def _torque_spread(robot: Robot, problem: Problem, posterior: Posterior) -> floa
     stated = robot.torque_disturbance
     if stated == 0.0 or not rows:
         return stated
-    place = problem.estimated.tolist()
-    indices = [problem.index["disturbance", row] for row in rows]
-    columns = [place.index(index) for index in indices]
-    prior = np.square([problem.unknowns[index].std for index in indices])
+    keys = [("disturbance", row) for row in rows]
+    columns = [problem.column_of(key) for key in keys]
+    prior = np.square([problem.unknowns[problem.index[key]].std for key in keys])
     known = np.square([problem.runs[row].current_torque_std for row in rows])
     return median_spread(
         stated,
@@ -447,8 +446,7 @@ def of_runs(
         for row, std in stds.items()
         if std > 0.0 and (kind != "onset" or std == problem.robot.onset_jitter_s)
     ]
-    place = problem.estimated.tolist()
-    columns = [place.index(problem.index[kind, row]) for row in rows]
+    columns = [problem.column_of((kind, row)) for row in rows]
     priors = np.square([stds[row] for row in rows])
     learnt = 1.0 - np.diag(posterior.covariance)[columns] / priors
     return rows, posterior.values[problem.estimated[columns]], learnt

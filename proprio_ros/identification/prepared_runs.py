@@ -24,7 +24,7 @@ from proprio_ros.identification.locked_joints import (
     locked_motions,
     rests_from,
 )
-from proprio_ros.quantity import Quantity
+from proprio_ros.quantity import MAD_TO_STD, Quantity
 from proprio_ros.records import Run
 from proprio_ros.robot import DriveTrain, Robot
 from proprio_ros.sim.payload import (
@@ -444,7 +444,7 @@ def _followed(run: Run, velocity: np.ndarray, drive: DriveTrain) -> np.ndarray:
         return blind
     unit = float(np.median(run.reported_effort[slow] / command[slow]))
     off = np.abs(run.reported_effort / unit - command)
-    noise = 1.4826 * float(np.median(off[slow]))
+    noise = MAD_TO_STD * float(np.median(off[slow]))
     return off <= np.maximum(0.05 * np.abs(command), 4.0 * noise)
 
 

@@ -157,9 +157,6 @@ def uneven(run: str, every_s: float, scatter_s: float) -> Reason:
     return Reason("uneven", f"{run}: the joint states {come}: {why}; {_AGAIN}")
 
 
-_BY_ONE_CLOCK = "have both stamped by one clock, or state the true delay (robot.delay_s)"
-
-
 def moved_before(run: str, joint: str, source: str, early_s: float) -> Reason:
     """A joint moves before the current that drives it.
 
@@ -172,8 +169,7 @@ def moved_before(run: str, joint: str, source: str, early_s: float) -> Reason:
     moves = (
         f"{joint} moves {1e3 * early_s:.0f} ms or more before the current that is said to drive it"
     )
-    question = f"are the stamps of {source} late, or those of the joint states early?"
-    return Reason("stamps_off", f"{moves}: {question} {_BY_ONE_CLOCK}", run)
+    return _stamps_off(run, moves, source, "late", "early")
 
 
 def driven_beyond(run: str, joint: str, source: str, late_s: float) -> Reason:
@@ -188,8 +184,14 @@ def driven_beyond(run: str, joint: str, source: str, late_s: float) -> Reason:
     driven = (
         f"{joint} is still driven {1e3 * late_s:.0f} ms after the current is said to have ended"
     )
-    question = f"are the stamps of {source} early, or those of the joint states late?"
-    return Reason("stamps_off", f"{driven}: {question} {_BY_ONE_CLOCK}", run)
+    return _stamps_off(run, driven, source, "early", "late")
+
+
+def _stamps_off(run: str, seen: str, source: str, of_source: str, of_states: str) -> Reason:
+    """Stamps of the current, or those of the joint states, are late or early, as is ``seen``."""
+    question = f"are the stamps of {source} {of_source}, or those of the joint states {of_states}?"
+    cure = "have both stamped by one clock, or state the true delay (robot.delay_s)"
+    return Reason("stamps_off", f"{seen}: {question} {cure}", run)
 
 
 # ---------------------------------------------------------------------------------------------------------- Runs beside each other

@@ -11,6 +11,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from proprio_ros.quantity import MAD_TO_STD
 from proprio_ros.records import BoolArray, FloatArray, TimeArray
 
 SHORT = 0.25
@@ -71,7 +72,7 @@ def of_bursts(times_ns: TimeArray) -> Arrivals | None:
         return None
     each_s = np.concatenate(rates)
     middle_s = float(np.median(each_s))
-    scatter = 1.4826 * float(np.median(np.abs(each_s - middle_s))) / middle_s
+    scatter = MAD_TO_STD * float(np.median(np.abs(each_s - middle_s))) / middle_s
     increasing = bool(np.all(np.diff(taken) > 0))
     return Arrivals(taken, moved, middle_s, scatter < STEADY and increasing)
 

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from proprio_ros.errors import RecordingError
-from proprio_ros.quantity import EFFORTS, Quantity
+from proprio_ros.quantity import EFFORTS, MAD_TO_STD, Quantity
 from proprio_ros.recordings.columns import JointColumns
 from proprio_ros.recordings.effort import CURRENT_PER_COUNT_A, EFFORT_UNITS, Effort, ampere
 from proprio_ros.recordings.medians import running_median
@@ -81,7 +81,7 @@ def pace_of_stamps(columns: JointColumns) -> tuple[float, bool] | None:
     later_s = late_s[half:] - late_s[:-half]
     slope = float(np.median(later_s / np.maximum(apart_s, 1e-9)))
     off_s = late_s - slope * stamp_s
-    scatter_s = 1.4826 * float(np.median(np.abs(off_s - np.median(off_s))))
+    scatter_s = MAD_TO_STD * float(np.median(np.abs(off_s - np.median(off_s))))
     drift_s = abs(slope) * float(np.ptp(stamp_s))
     if abs(slope) < RATE_OFF or drift_s < CLEARLY * max(scatter_s, 1e-4):
         return None
@@ -395,7 +395,7 @@ def _refuse_elsewhere(
         return
     commanded = readings.given_A[used]
     off = readings.reading[used] / per_A - commanded
-    scatter = 1.4826 * float(np.median(np.abs(off - np.median(off))))
+    scatter = MAD_TO_STD * float(np.median(np.abs(off - np.median(off))))
     spread = LEAST_CURRENT_A + 4.0 * min(scatter, LEAST_CURRENT_A)
     allowed = np.maximum(0.25 * np.abs(commanded), spread)
     far = float(np.mean(np.abs(off) > allowed))

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from proprio_ros.errors import RecordingError
+from proprio_ros.quantity import MAD_TO_STD
 from proprio_ros.recordings.medians import running_median
 from proprio_ros.recordings.repeats import repeated as repeated_rows
 from proprio_ros.records import (
@@ -414,8 +415,7 @@ def _active(inputs: InputRecord) -> BoolArray:
     opening = inputs.times_ns <= inputs.times_ns[0] + int(REST_S * 1e9)
     opening[: min(MIN_SAMPLES, len(opening))] = True
     rest = np.median(inputs.current_A[opening], axis=0)
-    # 1.4826: the median absolute deviation of a normal distribution is its standard deviation / 1.4826
-    sigma = 1.4826 * float(np.median(np.abs(inputs.current_A[opening] - rest)))
+    sigma = MAD_TO_STD * float(np.median(np.abs(inputs.current_A[opening] - rest)))
     return np.abs(inputs.current_A - rest) > max(MEASURED_CURRENT_FLOOR_A, 6.0 * sigma)
 
 

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from proprio_ros.quantity import MAD_TO_STD
 from proprio_ros.recordings.medians import running_median
 from proprio_ros.records import BoolArray, FloatArray
 
@@ -124,7 +125,7 @@ def _outliers(effort: FloatArray) -> BoolArray:
     values = effort[known]
     away = np.abs(values - running_median(values, NEIGHBOURS, "reflect"))
     low, high = np.percentile(values, [5.0, 95.0])
-    usual = 1.4826 * float(np.median(away))
+    usual = MAD_TO_STD * float(np.median(away))
     steps = np.abs(np.diff(values))
     # a count, where it is coarse
     step = float(np.median(steps[steps > 0.0])) if steps.any() else 0.0

@@ -25,7 +25,7 @@ from proprio_ros.addons.fleet.plots import histogram, values_figure
 from proprio_ros.addons.fleet.rows import EPISODE, GRASP, PART, Row
 from proprio_ros.identification.reasons import CODES, REMEDIES
 from proprio_ros.pipeline.request import Options
-from proprio_ros.quantity import Z95, shown, shown_unit, spec_for
+from proprio_ros.quantity import MAD_TO_STD, Z95, shown, shown_unit, spec_for
 from proprio_ros.report.html import Own, bars, provenance, table, write_document
 
 COLUMNS = (
@@ -297,7 +297,7 @@ def far(whole: Sequence[Row]) -> list[Row]:
     for own in _by_source(answers).values():
         values = np.array([row["value"] for row in own])
         off = np.abs(values - np.median(values))
-        spread = 1.4826 * float(np.median(off))
+        spread = MAD_TO_STD * float(np.median(off))
         for row, away in zip(own, off, strict=True):
             sigmas = away / max(float(np.hypot(spread, row["std"] or 0.0)), 1e-12)
             if sigmas > ODD_SIGMAS:

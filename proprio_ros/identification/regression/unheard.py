@@ -17,12 +17,12 @@ from numpy.typing import NDArray
 from proprio_ros.calibration_files.motions import MotionCalibration
 from proprio_ros.identification.regression.motion_equations import Problem
 from proprio_ros.identification.regression.solve import Priors, solve
+from proprio_ros.quantity import MAD_TO_STD
 from proprio_ros.recordings.motions import Motion
 from proprio_ros.records import FloatArray
 
 SIGMAS = 5.0
 """Of what is left over of a joint's windows, by its median: a Gaussian has one in two million beyond."""
-MAD_TO_STD = 1.4826  # of a Gaussian, standard deviation over median absolute deviation
 MOST = 0.25
 """Of the windows of a joint in a recording: stalls of 0.1 s every 3 s touch a fifth of windows of 0.5 s."""
 ROUNDS = 4
