@@ -148,13 +148,20 @@ class Desk:
 
 
 @contextmanager
-def at_the_arm(folder: Path, **identifier: Any) -> Iterator[Desk]:
-    """A pendant with a virtual arm and a browser; parameters of the identifier."""
+def at_the_arm(
+    folder: Path,
+    virtual: Mapping[str, Any] | None = None,
+    **identifier: Any,
+) -> Iterator[Desk]:
+    """A pendant with a virtual arm and a browser; parameters of that arm, and of the identifier."""
     domain = free_domain()
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("ROS_DOMAIN_ID", domain)
         with (
-            running(folder, identifier=identifier, **PATIENT) as (_, arm),
+            running(folder, virtual=dict(virtual or {}), identifier=identifier, **PATIENT) as (
+                _,
+                arm,
+            ),
             pendant(folder, ROS_DOMAIN_ID=domain) as shown,
             browser(folder) as window,
         ):

@@ -37,12 +37,13 @@ RESTS = """await (async (before) => {
   return before === window.draws;
 })(window.draws)"""
 GRAMS = 50.0
-"""What the virtual hand holds."""
+"""What the virtual hand holds where something is weighed."""
 
 
 @pytest.fixture(scope="module")
 def desk(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Desk]:
-    with at_the_arm(tmp_path_factory.mktemp("desk"), calibration="") as desk:
+    held = {"object": str(GRAMS / 1000.0)}
+    with at_the_arm(tmp_path_factory.mktemp("desk"), virtual=held, calibration="") as desk:
         yield desk
 
 

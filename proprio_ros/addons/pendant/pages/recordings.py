@@ -121,6 +121,7 @@ class _Chosen:
             heading("Recordings")
             self._none = ui.label("None is chosen yet: choose a bag, a table or an episode.")
             self._none.classes("small")
+            self._none.set_visibility(False)
             with ui.element("div").classes("row") as self._roles:
                 for role, words in ROLES.items():
                     zone = ui.label(f"Drag here: {words}").classes("drop small")
