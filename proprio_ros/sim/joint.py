@@ -182,8 +182,11 @@ class JointSimulator:
         """All that fits of this law may need, as `compile_kernels` compiles them ahead."""
         most = next(size for size in self.tangent_sizes if size >= len(self.parameters))
         sizes = [size for size in self.tangent_sizes if size <= most]
-        kinds = kinds_of_kernel(sizes, True)
-        return [rollout(self.law_of(*kind), self.integrator) for kind in kinds]
+        return [self.kernel_of(*kind) for kind in kinds_of_kernel(sizes, True)]
+
+    def kernel_of(self, size: int, stribeck: bool) -> Any:
+        """The walk through time of what `law_of` gives."""
+        return rollout(self.law_of(size, stribeck), self.integrator)
 
     def law_data(self) -> Any:
         """The law's struct of what is known about the runs."""
@@ -368,7 +371,7 @@ class _Launch:
             setattr(out, name, array)
         inputs = [*owner.run_data(counts), world_run, p, dp]
         self._command = runtime.launch(
-            rollout(law, owner.integrator),
+            owner.kernel_of(size, stribeck),
             dim=worlds,
             inputs=inputs,
             outputs=[out],

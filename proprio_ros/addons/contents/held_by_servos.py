@@ -9,10 +9,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy.optimize import least_squares
 
+from proprio_ros.addons.contents.held_kernels import DIRECTIONS, OWN, implicit_rollout
 from proprio_ros.identification.locked_joints import Followed, arm_and_payload, joint_torque
 from proprio_ros.records import FloatArray, Run
 from proprio_ros.robot import DriveTrain, ReducedModel, Robot
@@ -210,6 +212,18 @@ def known_law(
     }
 
 
+class HeldSimulator(JointSimulator):
+    """Rolls out joints that servos hold, which stick, by implicit steps; their first `OWN` directions are kept free."""
+
+    tangent_sizes = (DIRECTIONS,)
+
+    def kernel_of(self, size: int, stribeck: bool) -> Any:
+        return implicit_rollout(stribeck)
+
+    def usual_kernels(self) -> list[Any]:
+        return [implicit_rollout(stribeck) for stribeck in (False, True)]
+
+
 class Servo:
     """A servo that holds its joint in R runs. Its 3 + R numbers, those of the runs last, are in units of their priors.
 
@@ -217,7 +231,7 @@ class Servo:
     """
 
     def __init__(self, forced: Sequence[Forced], sigma: float) -> None:
-        self._simulator = JointSimulator([each.run for each in forced])
+        self._simulator = HeldSimulator([each.run for each in forced])
         self._sigma = sigma
         self._forced = tuple(forced)
         known = [[each.known.get(name, 0.0) for name in INDEX] for each in forced]
@@ -236,20 +250,22 @@ class Servo:
         p[:, INDEX["gravity_constant"]] = -friction * np.tanh(z[3:])
         return p
 
-    def _shaken(self, z: FloatArray) -> tuple[FloatArray, ...]:
-        """Positions less those at rest, velocities, shape (R, T), and what four numbers change of the positions, (R, T, 4).
+    def along(self, z: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Parameters (R, P), and what four numbers change of them behind the `OWN` free directions, shape (R, P, D).
 
-        They are the three of the servo and a run's own; those of other runs change nothing of it.
+        The four are the three of the servo and a run's own; those of other runs change nothing of it.
         """
+        nothing = np.zeros((OWN, len(z)))
+        ways = [*nothing, *np.eye(len(z))[:3], np.arange(len(z)) >= 3]
+        slopes = [self._law(z + 1e-30j * way).imag / 1e-30 for way in ways]
+        return self._law(z), np.stack(slopes, axis=2)
+
+    def shaken(self, z: FloatArray) -> tuple[FloatArray, ...]:
+        """Positions less those at rest, velocities, shape (R, T), and the positions' change by the four, (R, T, 4)."""
         if self._last is None or not np.array_equal(self._last[0], z):
-            along = [*np.eye(len(z))[:3], np.arange(len(z)) >= 3]
-            dp = np.stack([self._law(z + 1e-30j * way).imag / 1e-30 for way in along], axis=2)
-            found = self._simulator.jacobian(
-                np.arange(len(dp), dtype=np.int32),
-                self._law(z),
-                dp,
-            )
-            self._last = z.copy(), tuple(each.copy() for each in found)
+            rows = np.arange(len(self._known), dtype=np.int32)
+            q, v, slopes = self._simulator.jacobian(rows, *self.along(z))
+            self._last = z.copy(), (q.copy(), v.copy(), slopes[..., OWN:].copy())
         return self._last[1]
 
     def _seen(self, row: int, q: FloatArray) -> FloatArray:
@@ -263,7 +279,7 @@ class Servo:
 
     def residual(self, z: FloatArray) -> FloatArray:
         """Of all readings, then of the priors, in standard deviations. Where a joint rests, the readings' mean says."""
-        positions = self._shaken(z)[0]
+        positions = self.shaken(z)[0]
         seen = [self._seen(row, q) for row, q in enumerate(positions)]
         off = [each - forced.shown for each, forced in zip(seen, self._forced, strict=True)]
         readings = [(each - each.mean()) / self._sigma for each in off]
@@ -271,7 +287,7 @@ class Servo:
 
     def jacobian(self, z: FloatArray) -> FloatArray:
         """The residual's derivative."""
-        _, _, slopes = self._shaken(z)
+        _, _, slopes = self.shaken(z)
         readings = []
         for row, slope in enumerate(slopes):
             seen = self._seen(row, slope)
@@ -291,7 +307,7 @@ class Servo:
             xtol=1e-3,
             ftol=1e-3,
         ).x
-        positions, velocities, _ = self._shaken(best)
+        positions, velocities, _ = self.shaken(best)
         found = []
         for row, run in enumerate(self._simulator.runs):
             q = positions[row]

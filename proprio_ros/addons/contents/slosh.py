@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
+from proprio_ros.addons.contents.held_kernels import implicit_rollout
 from proprio_ros.addons.contents.slosh_kernels import (
     SLOSH_PARAMETERS,
     STIFFNESS,
@@ -92,4 +93,5 @@ class SloshSimulator(JointSimulator):
 def compile_kernels(integrator: str = "rk4", *, rises: bool = True) -> None:
     """As ``joint.compile_kernels``, for fits with moving contents."""
     kernels = [rollout(slosh_law(*kind), integrator) for kind in kinds_of_kernel(_SIZES, rises)]
-    runtime.load([*kernels, plain_kernel(len(SLOSH_PARAMETERS), integrator)], "cpu")
+    held = [implicit_rollout(stribeck) for stribeck in (False, True)[: 1 + rises]]
+    runtime.load([*kernels, *held, plain_kernel(len(SLOSH_PARAMETERS), integrator)], "cpu")

@@ -16,6 +16,7 @@ from proprio_ros.identification.locked_joints import LOCKED_SCALES, Followed, sm
 from proprio_ros.quantity import Quantity
 from proprio_ros.records import Run
 from proprio_ros.robot import Robot, load_robot
+from proprio_ros.sim.joint import JointSimulator
 from proprio_ros.sim.payload import PayloadFacts, PayloadShape
 
 KG, PLACE, SIGMA = 0.3, (0.02, 0.0, -0.01), 2.0 * np.pi / 4096.0 / np.sqrt(12.0)
@@ -183,6 +184,21 @@ def test_gradients_are_those_of_finite_differences() -> None:
         exact = servo.jacobian(z).T
         for mine, its in zip(exact, differences, strict=True):
             assert np.linalg.norm(mine - its) < 2e-3 * np.linalg.norm(its) + 1e-6
+
+
+def test_implicit_steps_go_where_short_explicit_ones_do() -> None:
+    """A joint that sticks, slips and stops again, by the plain walk with steps that friction cannot outrun."""
+    robot, run, elbow, _ = shaken(1, 0.05)
+    push = forced_on(robot, run, "joint2", {"joint3": elbow}, FACTS, KG)
+    assert push is not None
+    servo = Servo([push], SIGMA)
+    for z in (np.zeros(4), np.array([0.4, -0.6, 0.5, 0.7]), np.array([-0.5, 0.3, -0.8, -0.9])):
+        position, velocity, _ = servo.shaken(z)
+        short = replace(push.run, fine_step_s=0.5 * push.run.fine_step_s)
+        q, v = JointSimulator([short]).rollout(np.zeros(1, np.int32), servo.along(z)[0])
+        assert np.ptp(q) > 1e-3
+        assert np.abs(position - q).max() < 1e-5
+        assert np.abs(velocity - v).max() < 3e-3 * np.abs(v).max()
 
 
 def test_a_fit_that_failed_moves_no_held_joint() -> None:
