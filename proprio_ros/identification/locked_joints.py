@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -70,6 +71,10 @@ class Followed:
     def start(self) -> float:
         return float(self.position[0])
 
+    @cached_property
+    def acceleration(self) -> np.ndarray:
+        return np.gradient(self.velocity, self.times_s)
+
     def at(
         self,
         times_s: np.ndarray,
@@ -78,7 +83,7 @@ class Followed:
         known = (
             self.position - self.start,
             self.velocity,
-            np.gradient(self.velocity, self.times_s),
+            self.acceleration,
         )
         position, velocity, acceleration = (
             np.interp(times_s, self.times_s, each, left=0.0) for each in known

@@ -31,6 +31,7 @@ FRICTION_VELOCITY = 1e-4
 LEAST_FRICTION_N_M = 0.005
 LEAST_TORQUE_N_M = 1e-3
 SWEEPS = 2  # over the joints: each moves the others
+BEFORE_S = -1.0
 STEP = 1e-3  # rad, rad/s, rad/s^2: torques are linear in what a joint gives way by
 
 
@@ -89,6 +90,17 @@ def give_way(
 
 
 @dataclass(frozen=True)
+class Needs:
+    """What a held joint needs while others move."""
+
+    load: FloatArray  # where it is held [N m], shape (T,)
+    still: float  # before anything moves [N m]
+    slopes: (
+        FloatArray  # the load's mean change by its position, velocity and acceleration, shape (3,)
+    )
+
+
+@dataclass(frozen=True)
 class HeldJoint:
     """A joint that is held while others move."""
 
@@ -98,37 +110,36 @@ class HeldJoint:
     model: ReducedModel
     inertias: FloatArray  # of the arm with what it carries
 
-    def torque(
-        self,
-        times_s: FloatArray,
-        further: Sequence[float] = (0.0, 0.0, 0.0),
-    ) -> FloatArray:
+    def torque(self, times_s: FloatArray, further: FloatArray) -> FloatArray:
         """What the joint needs [N m], shape (T,).
 
         Args:
             times_s: Instants of the others' motion, shape (T,).
-            further: How far it is from where it is held, how fast, and how accelerated [rad, rad/s, rad/s^2].
+            further: How far it is from where it is held, how fast, and how accelerated [rad, rad/s, rad/s^2], shape (3, T).
         """
         motion = []
         for name in self.model.joint_names:
             own = name == self.name
             start = self.held_at if own else self.moving[name].start
-            parts = further if own else self.moving[name].at(times_s)
-            q, v, a = (np.zeros(len(times_s)) + part for part in parts)
+            q, v, a = further if own else self.moving[name].at(times_s)
             motion.append((start + q, v, a))
         row = self.model.joint_names.index(self.name)
         return joint_torque(self.model, motion, row, self.inertias)[:, 0]
 
-    def slope(self, times_s: FloatArray, load: FloatArray, further: FloatArray) -> float:
-        """The torque's mean change by one of position, velocity and acceleration, the one of ``further`` that is not zero.
-
-        Args:
-            times_s: Instants of the others' motion [s], shape (T,).
-            load: What the joint needs at them where it is held [N m], shape (T,).
-            further: Position, velocity and acceleration [rad, rad/s, rad/s^2], two of them zero, shape (3,).
-        """
-        moved = self.torque(times_s[::10], further.tolist())
-        return float(np.mean(moved - load[::10])) / STEP
+    def needs(self, times_s: FloatArray) -> Needs:
+        """What it needs where it is held, and what giving way changes of that, at instants of the others' motion, shape (T,)."""
+        count = len(times_s)
+        few = times_s[::10]
+        # all in one call: where it is held, before anything moves, and three times at a few instants, where it gives way
+        instants = np.concatenate([times_s, [BEFORE_S], few, few, few])
+        further = np.zeros((3, len(instants)))
+        slopes = further[:, count + 1 :].reshape(3, 3, len(few))
+        for n in range(3):
+            slopes[n, n] = STEP
+        torque = self.torque(instants, further)
+        load = torque[:count]
+        moved = torque[count + 1 :].reshape(3, len(few))
+        return Needs(load, float(torque[count]), np.mean(moved - load[::10], axis=1) / STEP)
 
 
 def forced_on(
@@ -159,15 +170,12 @@ def forced_on(
     joint = HeldJoint(name, run.held[name], others, model, inertias)
     times_s = next(iter(others.values())).times_s
     middle_s = times_s + 0.5 * times_s[1]
-    load = joint.torque(middle_s)  # (T,) [N m]
-    still = float(joint.torque(np.array([-1.0]))[0])
+    needs = joint.needs(middle_s)
     # nor where a fit that failed says how the driven joint moved
-    if not np.ptp([*load, still]) >= LEAST_TORQUE_N_M:
+    load = needs.load - needs.still
+    if not np.ptp(np.append(load, 0.0)) >= LEAST_TORQUE_N_M:
         return None
-    known = known_law(robot.drive_trains[name], joint, middle_s, load, still)
-    fine_s = float(
-        np.clip(FRICTION_VELOCITY * known["inertia"] / known["coulomb"], 2e-5, times_s[1])
-    )
+    known = known_law(robot.drive_trains[name], needs)
     nothing = np.zeros(len(times_s))
     forced = JointRun(
         times_s,
@@ -175,33 +183,17 @@ def forced_on(
         nothing,
         (0.0, 0.0, 1.0),
         FRICTION_VELOCITY,
-        times_s[1],
-        fine_s,
-        np.stack([load - still, nothing], axis=1),
+        input_load=np.stack([load, nothing], axis=1),
     )
     read_s = np.concatenate([run.before_times_s, run.times_s])
     seen = read_s <= times_s[-1]
     return Forced(forced, known, read_s[seen], run.held_position[name][seen])
 
 
-def known_law(
-    drive: DriveTrain,
-    joint: HeldJoint,
-    middle_s: FloatArray,
-    load: FloatArray,
-    still: float,
-) -> dict[str, float]:
-    """The law of a held joint without its servo, by the names of the simulator's parameters.
-
-    Args:
-        drive: The joint's drive train.
-        joint: The joint, and what moves around it.
-        middle_s: Instants [s], shape (T,).
-        load: What the joint needs at them [N m], shape (T,).
-        still: What it needs at rest [N m].
-    """
-    spring, damper, inertia = (joint.slope(middle_s, load, further) for further in STEP * np.eye(3))
-    friction = drive.coulomb.value + drive.load_friction.value * abs(still)
+def known_law(drive: DriveTrain, needs: Needs) -> dict[str, float]:
+    """The law of a held joint without its servo, by the names of the simulator's parameters."""
+    spring, damper, inertia = needs.slopes.tolist()
+    friction = drive.coulomb.value + drive.load_friction.value * abs(needs.still)
     return {
         "inertia": inertia + drive.armature.value,
         "gravity_sin": spring,

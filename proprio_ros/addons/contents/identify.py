@@ -49,6 +49,11 @@ STARTS_KG = (0.03, 0.1, 0.3)
 HOPELESS = 100.0
 PASSES = 6
 WORTH = 1.0
+# nor where chi-square is farther beyond the best model's, in what each of its degrees of freedom has
+BESIDE = 200.0
+# at most, before held joints give way and after that
+ROUGH_ITERATIONS = 4
+ITERATIONS = 30
 # of its prior's standard deviation: what a recording must leave at most for a value to be its own
 LEARNT = 0.6
 CLASSES = (
@@ -127,68 +132,98 @@ def weighted(
     return share * within + (1.0 - share) * beside
 
 
+def searched(
+    problem: law.ContentsProblem,
+    starts: np.ndarray,
+    windows: Callable[[float], np.ndarray] | None,
+    iterations: int,
+) -> FitResult:
+    """Search from some starts, roughly.
+
+    Args:
+        problem: What is fitted.
+        starts: Values of all unknowns, in their own units, shape (S, P).
+        windows: How many samples of each run lie in a fraction of its time; None fits everything at once.
+        iterations: At most so many of everything.
+
+    Returns:
+        Where the starts ended.
+    """
+    internal = problem.coordinates.internal(starts[:, problem.estimated])
+    return FitResult.of(
+        problem,
+        solvers.levenberg_marquardt(
+            problem, internal, windows, iterations=iterations, tolerance=1e-2
+        ),
+    )
+
+
+def first_guesses(problem: law.ContentsProblem, best: FitResult | None) -> np.ndarray:
+    """Values of all unknowns from which a model's search starts, shape (S, P); ``best`` is another model's fit, if there is one."""
+    guess = problem.base.copy()
+    for row, unknown in enumerate(problem.unknowns):
+        if best is not None and unknown in best.problem.unknowns:
+            guess[row] = best.value_of(unknown.key)
+    if not problem.inside:
+        return guess[None]
+    starts = np.tile(guess, (len(STARTS_KG), 1))
+    starts[:, problem.index["contents_mass"]] = STARTS_KG
+    return starts
+
+
+def once_more(fits: Sequence[FitResult], best: FitResult | None) -> bool:
+    """Whether it is worth while that held joints give way anew, as a model's last fit moves them; ``best`` is another's."""
+    if fits[0].reduced_chi2 >= HOPELESS or len(fits) > PASSES:
+        return False
+    if len(fits) == 1:
+        return True
+    last = fits[-1].chi2
+    beside = best is not None and last - best.chi2 > BESIDE * max(1.0, best.reduced_chi2)
+    return fits[-2].chi2 - last > WORTH and not beside
+
+
 def fitted(
-    robot: Robot,
-    runs: Sequence[PreparedRun],
-    facts: ContentsFacts,
-    filled: Sequence[bool],
-    model: str,
+    problem: law.ContentsProblem,
+    best: FitResult | None,
 ) -> list[FitResult]:
     """A model's search from all starts, and the best from there on, with held joints as the motion before moves them.
+
+    Args:
+        problem: Of the model, with held joints as another's best fit moves them.
+        best: That fit, if there is one.
+
+    Returns:
+        The first search's fit and the best one.
+    """
+    starts = first_guesses(problem, best)
+    fits = [searched(problem, starts, problem.simulator.windows, ROUGH_ITERATIONS)]
+    while once_more(fits, best):
+        problem = problem.with_runs(problem.held(fits[-1].values))
+        fits.append(searched(problem, fits[-1].values[None], None, ITERATIONS))
+    return [fits[0], min(fits[1:] or fits, key=lambda fit: fit.chi2)]
+
+
+def all_fitted(
+    robot: Robot, runs: Sequence[PreparedRun], facts: ContentsFacts, filled: Sequence[bool]
+) -> list[list[FitResult]]:
+    """Each model's first fit and its best; each begins with the motions of held joints that the best one before it found.
 
     Args:
         robot: The arm.
         runs: What is fitted.
         facts: The container.
         filled: Which of the runs have the contents.
-        model: One of `models.MODELS`.
-
-    Returns:
-        The first search's fit and the best one.
     """
-
-    def search(
-        problem: law.ContentsProblem,
-        starts: np.ndarray,
-        windows: Callable[[float], np.ndarray] | None,
-    ) -> FitResult:
-        """Search from some starts, roughly.
-
-        Args:
-            problem: What is fitted.
-            starts: Values of all unknowns, in their own units, shape (S, P).
-            windows: How many samples of each run lie in a fraction of its time; None fits everything at once.
-
-        Returns:
-            Where the starts ended.
-        """
-        internal = problem.coordinates.internal(starts[:, problem.estimated])
-        return FitResult.of(
-            problem, solvers.levenberg_marquardt(problem, internal, windows, tolerance=1e-2)
-        )
-
-    problem = law.ContentsProblem(robot, runs, facts, filled, model)
-    starts = np.tile(
-        problem.base,
-        (len(STARTS_KG) if problem.inside else 1, 1),
-    )
-    if problem.inside:
-        starts[:, problem.index["contents_mass"]] = STARTS_KG
-    fits = [search(problem, starts, problem.simulator.windows)]
-    while (
-        fits[0].reduced_chi2 < HOPELESS
-        and len(fits) <= PASSES
-        and (len(fits) < 2 or fits[-2].chi2 - fits[-1].chi2 > WORTH)
-    ):
-        problem = law.ContentsProblem(
-            robot,
-            problem.held(fits[-1].values),
-            facts,
-            filled,
-            model,
-        )
-        fits.append(search(problem, fits[-1].values[None], None))
-    return [fits[0], min(fits, key=lambda fit: fit.chi2)]
+    found: list[list[FitResult]] = []
+    best = None
+    for model in law.MODELS:
+        problem = law.ContentsProblem(robot, runs, facts, filled, model)
+        found.append(fitted(problem, best))
+        fit = found[-1][1]
+        if fit.reduced_chi2 < HOPELESS and (best is None or fit.chi2 < best.chi2):
+            best = fit
+            runs = fit.problem.runs
+    return found
 
 
 def find_contents(
@@ -219,7 +254,7 @@ def find_contents(
         return no_answer(
             "contents", "contents_mass", "kg", robot.name, len(runs), found.reasons, found.notes
         )
-    models = [fitted(robot, used, facts, filled, model) for model in law.MODELS]
+    models = all_fitted(robot, used, facts, filled)
     opened = [fit for _, fit in models]
     empty = ~np.array(filled)
     best = min(opened, key=lambda fit: fit.reduced_chi2)

@@ -371,6 +371,10 @@ class ContentsProblem(Problem):
             [*self.inside, *known],
         )
 
+    def with_runs(self, runs: Sequence[PreparedRun]) -> ContentsProblem:
+        """The same model of runs whose held joints moved otherwise."""
+        return ContentsProblem(self.robot, runs, self.container, self.filled.tolist(), self.model)
+
     def is_affine(self) -> bool:
         return super().is_affine() and self.model == "nothing"
 

@@ -194,7 +194,7 @@ def test_implicit_steps_go_where_short_explicit_ones_do() -> None:
     servo = Servo([push], SIGMA)
     for z in (np.zeros(4), np.array([0.4, -0.6, 0.5, 0.7]), np.array([-0.5, 0.3, -0.8, -0.9])):
         position, velocity, _ = servo.shaken(z)
-        short = replace(push.run, fine_step_s=0.5 * push.run.fine_step_s)
+        short = replace(push.run, step_s=1e-5)
         q, v = JointSimulator([short]).rollout(np.zeros(1, np.int32), servo.along(z)[0])
         assert np.ptp(q) > 1e-3
         assert np.abs(position - q).max() < 2e-5, "a hundredth of a count"
