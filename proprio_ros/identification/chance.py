@@ -45,4 +45,8 @@ def beyond_chance(
     # the distribution leans to the right: its limit is beyond that of a normal of its mean and variance
     if chi2 <= dof + sigmas * math.sqrt(2.0 * dof):
         return False
+    # nor does chance reach the bound of Laurent and Massart (Ann. Stat. 28, 2000, lemma 1) as often
+    rare = -math.log(0.5 * math.erfc(sigmas / math.sqrt(2.0)))
+    if chi2 > dof + 2.0 * math.sqrt(dof * rare) + 2.0 * rare:
+        return True
     return chi2 > chi2_limit(dof, sigmas)
