@@ -402,9 +402,9 @@ def speed() -> str:
     machine = kept("speed")["machine"]
     rows = [
         (row["what"], row["fastest"] or "-", row["median"] or "-", row["ratio"])
-        for table in tables.values()
+        for part, table in tables.items()
         for row in table["rows"]
-        if _is_shown(row)
+        if part != "waits" and _is_shown(row)
     ]
     measured = (
         f"{source('speed')[:-1]}; {machine['cores']} cores, load {machine['load']} when it began."

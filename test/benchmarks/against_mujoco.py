@@ -10,7 +10,7 @@ from case import Case, Row, compare
 
 from proprio_ros.addons.paper.speed import SysidSearch
 
-GOAL = 30.0
+GOAL = 300.0
 
 
 def rows(case: Case) -> list[Row]:

@@ -17,8 +17,8 @@ from pathlib import Path
 from results import REPOSITORY, Results, parser_of
 
 EXTRAS = ("", "[ros]", "[ros,sim,test]")
-INSTALL_GOAL_S = 60.0
-DEMO_GOAL_S = 45.0
+INSTALL_GOAL_S = 20.0
+DEMO_GOAL_S = 30.0
 COLUMNS = {
     "what": "{what}",
     "wall, s": "{wall_s:.0f}",

@@ -25,19 +25,23 @@ print(json.dumps({{"import": ready - started, **estimate.timing_s}}))
 """
 
 
+def environment() -> dict[str, str]:
+    """Of a user's second call, which finds our modules compiled, as it finds the kernels."""
+    kept = {**os.environ, "PYTHONPATH": str(REPOSITORY)}
+    kept.pop("PYTHONDONTWRITEBYTECODE", None)
+    return kept
+
+
 def python(*arguments: str) -> str:
     """What a fresh interpreter prints.
 
     Raises:
         SystemExit: it failed.
     """
-    environment = {**os.environ, "PYTHONPATH": str(REPOSITORY)}
-    # a user's second call finds our modules compiled, as it finds the kernels
-    environment.pop("PYTHONDONTWRITEBYTECODE", None)
     done = subprocess.run(
         [sys.executable, *arguments],
         cwd=REPOSITORY,
-        env=environment,
+        env=environment(),
         capture_output=True,
         text=True,
     )
