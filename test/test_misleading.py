@@ -15,7 +15,7 @@ import pytest
 from proprio_ros.cli import main
 from proprio_ros.errors import ConfigurationError, RecordingError
 from proprio_ros.identification.calibration_fit import fit
-from proprio_ros.identification.estimate import Estimate, Useful, Verdict
+from proprio_ros.identification.estimate import Estimate, Verdict, WidthLimit
 from proprio_ros.identification.fit import solve_load
 from proprio_ros.identification.judge import FAR, Assessment
 from proprio_ros.identification.prepared_runs import prepare_run
@@ -609,11 +609,15 @@ def test_a_container_that_is_guessed_says_so(bags: Path) -> None:
 
 
 def test_an_interval_may_be_a_share_of_the_value_or_small() -> None:
-    useful = Useful(0.5, 0.005)
-    assert useful.exceeded_as_printed(0.05, 0.02) and not useful.exceeded_as_printed(0.05, 0.012)
-    assert not useful.exceeded_as_printed(-0.001, 0.001) and useful.exceeded_as_printed(0.0, 0.03)
-    assert not useful.exceeded_as_printed(0.0, 0.004)  # 0 to 7.8 g: an empty hand
-    assert useful.exceeded_as_printed(
+    width_limit = WidthLimit(0.5, 0.005)
+    assert width_limit.exceeded_as_printed(0.05, 0.02) and not width_limit.exceeded_as_printed(
+        0.05, 0.012
+    )
+    assert not width_limit.exceeded_as_printed(-0.001, 0.001) and width_limit.exceeded_as_printed(
+        0.0, 0.03
+    )
+    assert not width_limit.exceeded_as_printed(0.0, 0.004)  # 0 to 7.8 g: an empty hand
+    assert width_limit.exceeded_as_printed(
         -0.06, 0.041
     )  # printed as 0 to 80 g, however far below nothing it is
 

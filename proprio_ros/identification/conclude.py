@@ -15,9 +15,9 @@ from proprio_ros.identification.estimate import (
     Estimate,
     Fit,
     SolverSummary,
-    Useful,
     Value,
     Verdict,
+    WidthLimit,
 )
 from proprio_ros.identification.fit import (
     FitResult,
@@ -126,7 +126,7 @@ class Conclusion:
         """What else speaks against the answer, the worst first."""
         yield from self.misfit()
 
-    def useful(self) -> Useful | None:
+    def width_limit(self) -> WidthLimit | None:
         """How wide an accepted answer's interval may be; None: as wide as it is."""
         return None
 
@@ -277,9 +277,9 @@ class Conclusion:
                 self.apart.sentence,
             )
         yield from self.refusals()
-        useful = self.useful()
-        if useful:
-            yield from too_wide(self.assessed, useful, self.budget)
+        width_limit = self.width_limit()
+        if width_limit:
+            yield from too_wide(self.assessed, width_limit, self.budget)
 
     def cautions(self, solver: SolverSummary) -> Iterator[str]:
         """Reasons to look closer at an answer that is given, those of every probe among them."""

@@ -31,7 +31,7 @@ class Verdict(str, Enum):
 
 
 @dataclass(frozen=True)
-class Useful:
+class WidthLimit:
     """How wide an answer's 95 % interval may be: half of it may be a share of the value, or the floor where that is more.
 
     | answer | share | floor | verdict where it is wider |
@@ -65,25 +65,25 @@ class Useful:
         return self.exceeded_by(max(value, 0.0), 0.5 * (high - low))
 
 
-USEFUL_SHARE = 0.5  # of its value that half an interval may be, where no setting says otherwise
-USEFUL_FLOOR_KG = 0.005  # of the mass of pushes, likewise
-USEFUL_OF_ONE_JOINT = Useful(USEFUL_SHARE, verdict=Verdict.NOT_IDENTIFIABLE)
-USEFUL_OF_CALIBRATION = Useful(1.0, verdict=Verdict.NOT_IDENTIFIABLE)
-USEFUL_WHILE_RUNNING = Useful(USEFUL_SHARE, 0.01)
-USEFUL_OF_ARM = 0.04  # of the arm's own mass
-USEFUL_SHARE_BY_GOALS = 0.2
-USEFUL_OF_ARM_BY_GOALS = 0.01
+WIDEST_SHARE = 0.5  # of its value that half an interval may be, where no setting says otherwise
+WIDEST_FLOOR_KG = 0.005  # of the mass of pushes, likewise
+LIMIT_OF_ONE_JOINT = WidthLimit(WIDEST_SHARE, verdict=Verdict.NOT_IDENTIFIABLE)
+LIMIT_OF_CALIBRATION = WidthLimit(1.0, verdict=Verdict.NOT_IDENTIFIABLE)
+LIMIT_WHILE_RUNNING = WidthLimit(WIDEST_SHARE, 0.01)
+WIDEST_OF_ARM = 0.04  # of the arm's own mass
+WIDEST_SHARE_BY_GOALS = 0.2
+WIDEST_OF_ARM_BY_GOALS = 0.01
 """Torques that are made of goals were read up to half wrong where goals came late: what is left as wide as that is no answer."""
 
 
-def useful_in_motion(arm_kg: float) -> Useful:
+def limit_in_motion(arm_kg: float) -> WidthLimit:
     """For a mass weighed by an arm of so many kg, in motion or at rest."""
-    return Useful(USEFUL_SHARE, USEFUL_OF_ARM * arm_kg)
+    return WidthLimit(WIDEST_SHARE, WIDEST_OF_ARM * arm_kg)
 
 
-def useful_by_goals(arm_kg: float) -> Useful:
+def limit_by_goals(arm_kg: float) -> WidthLimit:
     """For a mass weighed by an arm of so many kg whose torques are made of its servos' goals."""
-    return Useful(USEFUL_SHARE_BY_GOALS, USEFUL_OF_ARM_BY_GOALS * arm_kg)
+    return WidthLimit(WIDEST_SHARE_BY_GOALS, WIDEST_OF_ARM_BY_GOALS * arm_kg)
 
 
 def not_negative(

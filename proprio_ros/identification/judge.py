@@ -17,9 +17,9 @@ from proprio_ros.identification import sentences
 from proprio_ros.identification.chance import beyond_chance
 from proprio_ros.identification.estimate import (
     Scan,
-    Useful,
     Value,
     Verdict,
+    WidthLimit,
     not_negative,
 )
 from proprio_ros.identification.fit import (
@@ -111,9 +111,9 @@ def not_identifiable(code: str, withheld: str, sentence: str) -> Refusal:
     )
 
 
-def wide(useful: Useful, sentence: str) -> Refusal:
+def wide(width_limit: WidthLimit, sentence: str) -> Refusal:
     """The interval is wider than is useful: the value is given with its interval, or not stated at all."""
-    if useful.verdict is Verdict.TOO_WIDE:
+    if width_limit.verdict is Verdict.TOO_WIDE:
         return Refusal(
             Verdict.TOO_WIDE,
             "",
@@ -413,12 +413,12 @@ def judge(
     return refusal
 
 
-def too_wide(assessed: Assessment, useful: Useful, budget: Budget) -> Iterator[Refusal]:
+def too_wide(assessed: Assessment, width_limit: WidthLimit, budget: Budget) -> Iterator[Refusal]:
     """Where the interval of a fit is wider than is useful, whatever explains the recording.
 
     Args:
         assessed: The fit.
-        useful: How wide the interval may be.
+        width_limit: How wide the interval may be.
         budget: What puts how much on the value, the largest first.
     """
     unit = assessed.unit
@@ -426,18 +426,18 @@ def too_wide(assessed: Assessment, useful: Useful, budget: Budget) -> Iterator[R
     std = assessed.std
     # zeros are asked for by a sentence of their own, which says what tells them
     std_but_zeros = float(np.sqrt(max(std**2 - assessed.zeros_std**2, 0.0)))
-    if not useful.exceeded_as_printed(value, std_but_zeros):
+    if not width_limit.exceeded_as_printed(value, std_but_zeros):
         return
     interval = shown(
         unit,
         *not_negative(value, std),
         spec=spec_for(unit, std),
     )
-    limit = f"+-{100.0 * useful.share:.0f} % of the value"
-    if useful.floor:
-        limit += f" and than +-{shown(unit, useful.floor, spec='.3g')}"
+    limit = f"+-{100.0 * width_limit.share:.0f} % of the value"
+    if width_limit.floor:
+        limit += f" and than +-{shown(unit, width_limit.floor, spec='.3g')}"
     mostly = source_label(budget[0][0]) if budget else ""
-    yield wide(useful, sentences.any_of(interval, limit, mostly, assessed.known))
+    yield wide(width_limit, sentences.any_of(interval, limit, mostly, assessed.known))
 
 
 def guessed(guesses: Sequence[Guess], value: float) -> Reason:

@@ -36,10 +36,10 @@ from proprio_ros.inputs.reading import LONGEST_PATH
 from proprio_ros.inputs.signs import EFFORT_SIGN, Signs
 from proprio_ros.kinds import Key
 from proprio_ros.quantity import Quantity
+from proprio_ros.robot.default_priors import DefaultPrior
 from proprio_ros.robot.drive_train import FingerTravel
 from proprio_ros.robot.drives import KINDS_OF_DRIVE, Drive, required
 from proprio_ros.robot.tree import STANDARD_GRAVITY
-from proprio_ros.robot.wide import Wide
 
 
 def _finger_travel(value: Any) -> FingerTravel:
@@ -146,11 +146,15 @@ MOTOR: dict[str, Field] = {
 }
 DRIVE_TRAIN: dict[str, Field] = {
     # what is left out is not known exactly: friction that was forgotten would bias every mass
-    "torque_constant_N_m_per_A": Field(_quantity(RANGES["torque_constant"]), Wide("nominal", 0.15)),
-    "coulomb_N_m": Field(_quantity(RANGES["coulomb"]), Wide("largest torque", 0.1)),
-    "viscous_N_m_s_per_rad": Field(_quantity(RANGES["viscous"]), Wide("largest torque", 0.05)),
+    "torque_constant_N_m_per_A": Field(
+        _quantity(RANGES["torque_constant"]), DefaultPrior("nominal", 0.15)
+    ),
+    "coulomb_N_m": Field(_quantity(RANGES["coulomb"]), DefaultPrior("largest torque", 0.1)),
+    "viscous_N_m_s_per_rad": Field(
+        _quantity(RANGES["viscous"]), DefaultPrior("largest torque", 0.05)
+    ),
     "load_friction": Field(_quantity(RANGES["load_friction"]), Quantity(0.0, 0.1)),
-    "armature_kg_m2": Field(_quantity(RANGES["armature"]), Wide("largest torque", 0.01)),
+    "armature_kg_m2": Field(_quantity(RANGES["armature"]), DefaultPrior("largest torque", 0.01)),
     "zero_rad": Field(_quantity(RANGES["zero"]), Quantity(0.0, 0.01)),
     "stribeck": Field(_quantity(RANGES["stribeck"]), Quantity(0.0, 0.3)),
     "stribeck_velocity_rad_s": Field(_quantity(RANGES["stribeck_velocity"]), Quantity(0.1, 0.05)),
@@ -206,7 +210,9 @@ ROBOT: dict[str, Field] = {
     "delay_s": Field(_quantity(RANGES["delay"]), Quantity(0.0, 0.01)),
     "stamp_jitter_s": Field(NOISE["stamp_jitter_s"], 0.001),
     "onset_jitter_s": Field(NOISE["onset_jitter_s"], 0.001),
-    "torque_disturbance_N_m": Field(NOISE["torque_disturbance_N_m"], Wide("weakest", 0.002)),
+    "torque_disturbance_N_m": Field(
+        NOISE["torque_disturbance_N_m"], DefaultPrior("weakest", 0.002)
+    ),
     "start_velocity_rad_s": Field(NOISE["start_velocity_rad_s"], 0.01),
     "friction_spread": Field(NOISE["friction_spread"], 0.15),
     "zero_repeat_rad": Field(

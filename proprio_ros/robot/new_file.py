@@ -14,13 +14,13 @@ from typing import Any
 from proprio_ros.errors import RobotError, some
 from proprio_ros.inputs.forms import Field, Text, Truth
 from proprio_ros.quantity import Quantity
+from proprio_ros.robot.default_priors import RECORDED_TORQUE, DefaultPrior, largest_torque
 from proprio_ros.robot.description import PACKAGE, check_masses, read_model
 from proprio_ros.robot.fields import DRIVE_TRAIN, JOINT, MOTOR, NOMINAL, ROBOT, Uncertain
 from proprio_ros.robot.hands import arm_joints, hand_link, path_to, tip_of
 from proprio_ros.robot.links import Joint
 from proprio_ros.robot.tree import STANDARD_GRAVITY, RobotModel
 from proprio_ros.robot.urdf import MOST_EFFORT
-from proprio_ros.robot.wide import RECORDED_TORQUE, Wide, largest_torque
 from proprio_ros.whole_files import real_path
 
 STATE = "STATE THIS"
@@ -244,7 +244,7 @@ class _JointWriter:
 
     def drive_train(self, key: str, entry: Field) -> str:
         """A key of the drive train; what is a part of something not yet stated is left to the reader of the file."""
-        wide = entry.default if isinstance(entry.default, Wide) else None
+        wide = entry.default if isinstance(entry.default, DefaultPrior) else None
         if wide is not None and wide.of == "nominal" and self.torque_recorded:
             return self._stated(key, entry, RECORDED_TORQUE)
         if wide is not None and (wide.of == "nominal" or self.slides):
@@ -286,7 +286,7 @@ class _JointWriter:
 def _default(entry: Field, model: RobotModel, joint: str = "") -> Any:
     """What holds where the key is left out, as the file writes it."""
     default = entry.default
-    if isinstance(default, Wide):
+    if isinstance(default, DefaultPrior):
         turning = [
             name for name in model.independent_joints if model.joint(name).kind != "prismatic"
         ]

@@ -31,6 +31,7 @@ from proprio_ros.inputs.reading import LONGEST_PATH, path_problem, text_of, yaml
 from proprio_ros.inputs.resources import resource, resource_names
 from proprio_ros.inputs.signs import Signs
 from proprio_ros.quantity import Quantity
+from proprio_ros.robot.default_priors import RECORDED_TORQUE, DefaultPrior, largest_torque
 from proprio_ros.robot.description import (
     PACKAGE,
     check_masses,
@@ -57,7 +58,6 @@ from proprio_ros.robot.geometry import FloatArray, frozen
 from proprio_ros.robot.hands import arm_joints, hand_link, hands, path_to, tip_of
 from proprio_ros.robot.links import Joint
 from proprio_ros.robot.tree import RobotModel
-from proprio_ros.robot.wide import RECORDED_TORQUE, Wide, largest_torque
 from proprio_ros.whole_files import real_path
 
 
@@ -624,7 +624,7 @@ def _assembled(
     disturbance, motion, of_joint = (
         stated[key] for key in ("torque_disturbance", *CALIBRATIONS[1:])
     )
-    if isinstance(disturbance, Wide):
+    if isinstance(disturbance, DefaultPrior):
         # of the weakest joint: what differs from run to run goes with friction
         weakest = min(
             largest_torque(model, name, drive.transmission) for name, drive in drive_trains.items()
@@ -691,7 +691,7 @@ def _drive_train(
     largest = largest_torque(model, name, transmission or 1.0)
     drive = {}
     for key, value in (parts["drive_train"] or section({}, DRIVE_TRAIN)).items():
-        known = value.at(motor[NOMINAL], largest) if isinstance(value, Wide) else value
+        known = value.at(motor[NOMINAL], largest) if isinstance(value, DefaultPrior) else value
         drive[without_unit(key)] = known
     return (
         DriveTrain(

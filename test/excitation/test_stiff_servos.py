@@ -16,7 +16,7 @@ from support.foreign_desk import GoalDesk
 
 from proprio_ros.cli import main as proprio
 from proprio_ros.excitation.first import first_sequence
-from proprio_ros.identification.estimate import Estimate, Useful, Verdict, useful_by_goals
+from proprio_ros.identification.estimate import Estimate, Verdict, WidthLimit, limit_by_goals
 from proprio_ros.identification.regression.motion_estimate import calibrate_motions
 from proprio_ros.probes.payload import moving
 from proprio_ros.probes.payload.moving import identify_in_motion
@@ -95,13 +95,13 @@ def test_goals_that_come_late_are_left_out(weighed: Callable[[], Estimate]) -> N
 def test_an_interval_that_is_too_wide_is_given_and_not_accepted(
     weighed: Callable[[], Estimate], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(moving, "useful_by_goals", lambda _: Useful(1e-3))
+    monkeypatch.setattr(moving, "limit_by_goals", lambda _: WidthLimit(1e-3))
     told = weighed()
     assert told.verdict is Verdict.TOO_WIDE
     assert told.values[0].value == pytest.approx(0.5, abs=0.1)
 
 
 def test_what_goals_say_is_useful_to_a_fifth_of_it() -> None:
-    useful = useful_by_goals(3.0)
-    assert useful.exceeded_by(1.0, 0.21) and not useful.exceeded_by(1.0, 0.19)
-    assert useful.exceeded_by(0.02, 0.04) and not useful.exceeded_by(0.02, 0.025)
+    width_limit = limit_by_goals(3.0)
+    assert width_limit.exceeded_by(1.0, 0.21) and not width_limit.exceeded_by(1.0, 0.19)
+    assert width_limit.exceeded_by(0.02, 0.04) and not width_limit.exceeded_by(0.02, 0.025)

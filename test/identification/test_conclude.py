@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from proprio_ros.identification.conclude import Conclusion
-from proprio_ros.identification.estimate import SolverSummary, Useful, Value, Verdict
+from proprio_ros.identification.estimate import SolverSummary, Value, Verdict, WidthLimit
 from proprio_ros.identification.fit import (
     FitResult,
     SearchOptions,
@@ -45,7 +45,7 @@ class Weighed(Conclusion):
     guessed: Sequence[Guess] = ()
     against: Sequence[Refusal] = ()
     half: float | None = None
-    wide: Useful | None = None
+    wide: WidthLimit | None = None
 
     probe = "scales"
     name = "payload_mass"
@@ -68,7 +68,7 @@ class Weighed(Conclusion):
         yield from self.against
         yield from self.misfit()
 
-    def useful(self) -> Useful | None:
+    def width_limit(self) -> WidthLimit | None:
         return self.wide
 
     def remarks(self) -> Iterator[str]:
@@ -180,7 +180,7 @@ def test_reasons_come_in_one_order(fits: tuple[FitResult, FitResult]) -> None:
         found,
         3,
         guessed=guesses,
-        wide=Useful(1e-3),
+        wide=WidthLimit(1e-3),
     ).estimate()
     assert estimate.verdict is Verdict.TOO_WIDE and estimate.values[0].value is not None
     codes = reason_codes(estimate.reasons)
@@ -199,7 +199,7 @@ def test_a_refusal_withholds_the_value_and_what_would_be_said_of_it(
         for bound in (1, 2)
     ]
     estimate = Weighed(
-        *fits, Findings(["seen on the way"]), 1, against=refusals, wide=Useful(1e-3)
+        *fits, Findings(["seen on the way"]), 1, against=refusals, wide=WidthLimit(1e-3)
     ).estimate()
     assert estimate.verdict is Verdict.NOT_IDENTIFIABLE
     assert estimate.reasons == ("it is more than 1", "seen on the way")

@@ -24,7 +24,7 @@ from proprio_ros.identification.judge import (
     Assessment,
     Guess,
     Refusal,
-    Useful,
+    WidthLimit,
     guessed,
     judge,
     not_identifiable,
@@ -189,11 +189,11 @@ def test_residuals_coarser_than_the_encoder_widen_the_interval_as_far_as_nothing
 def test_a_wide_interval_is_a_verdict_that_keeps_the_value(fit: FitResult) -> None:
     assessed = Assessment(fit, NAME)
     mass = assessed.value
-    useful = Useful(0.5, 0.005)
+    width_limit = WidthLimit(0.5, 0.005)
     assessed.widen(mass)  # then it may as well be nothing
     (refusal,) = too_wide(
         assessed,
-        useful,
+        width_limit,
         [("torque_constant[joint3]", mass)],
     )
     assert refusal.verdict is Verdict.TOO_WIDE and not refusal.withheld
@@ -203,7 +203,7 @@ def test_a_wide_interval_is_a_verdict_that_keeps_the_value(fit: FitResult) -> No
         and "+-50 % of the value and than +-5 g" in sentence
     )
     assert "because of torque constant, joint3" in sentence and "calibrate the robot" in sentence
-    assert list(too_wide(assessed, Useful(3.0), [])) == []
+    assert list(too_wide(assessed, WidthLimit(3.0), [])) == []
 
 
 def test_a_quantity_that_is_not_negative() -> None:

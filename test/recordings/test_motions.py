@@ -15,7 +15,7 @@ from support.machines import REAL, UR10E_N_M_PER_A
 from proprio_ros.calibration_files.motions import MotionCalibration
 from proprio_ros.cli import main
 from proprio_ros.errors import RecordingError, RobotError
-from proprio_ros.identification.estimate import Useful, Verdict
+from proprio_ros.identification.estimate import Verdict, WidthLimit
 from proprio_ros.identification.regression.causes import torque_cause
 from proprio_ros.identification.regression.motion_equations import once_each
 from proprio_ros.identification.regression.motion_fit import fit_empty, fit_payload
@@ -354,7 +354,7 @@ def test_a_wide_interval_is_given_and_not_accepted(
     capsys: pytest.CaptureFixture[str], ur10e: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """As in a weighing with one joint: `too_wide` means the same."""
-    monkeypatch.setattr(moving, "useful_in_motion", lambda _: Useful(1e-3))
+    monkeypatch.setattr(moving, "limit_in_motion", lambda _: WidthLimit(1e-3))
     code, answer = replayed(
         capsys, ur10e, "ur10e_loaded_14", "--baseline", str(REAL / "ur10e_empty_14")
     )

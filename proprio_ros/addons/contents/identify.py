@@ -22,11 +22,11 @@ from proprio_ros.errors import ConfigurationError, RecordingError
 from proprio_ros.identification import solvers
 from proprio_ros.identification.conclude import Conclusion, stated_in
 from proprio_ros.identification.estimate import (
-    USEFUL_SHARE,
+    WIDEST_SHARE,
     Estimate,
     SolverSummary,
-    Useful,
     Value,
+    WidthLimit,
     no_answer,
 )
 from proprio_ros.identification.fit import FitResult, SearchOptions, summary, unknown_rows
@@ -350,8 +350,8 @@ class ContentsFound(Conclusion):
             "the container", "was the baseline empty, and held in the same place?"
         )
 
-    def useful(self) -> Useful:
-        return Useful(USEFUL_SHARE, 0.02)
+    def width_limit(self) -> WidthLimit:
+        return WidthLimit(WIDEST_SHARE, 0.02)
 
     def remarks(self) -> Iterator[str]:
         if not self.kind():

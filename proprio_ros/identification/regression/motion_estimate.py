@@ -14,7 +14,7 @@ from proprio_ros.identification.calibration_estimate import (
     EmptyHandEstimate,
     Weighable,
 )
-from proprio_ros.identification.estimate import USEFUL_OF_CALIBRATION, UnknownRow
+from proprio_ros.identification.estimate import LIMIT_OF_CALIBRATION, UnknownRow
 from proprio_ros.identification.judge import Refusal, judge, not_identifiable
 from proprio_ros.identification.regression import refusals
 from proprio_ros.identification.regression.causes import with_cause
@@ -86,7 +86,7 @@ def calibrate_motions(
     weighable = None
     if not refusal.withheld:
         weighable = _weighable(robot, followed, calibration, weighed, arm.kg)
-        if USEFUL_OF_CALIBRATION.exceeded_by(weighable.mass_kg, Z95 * weighable.std_kg):
+        if LIMIT_OF_CALIBRATION.exceeded_by(weighable.mass_kg, Z95 * weighable.std_kg):
             refusal = _would_be_too_wide(weighable)
             weighable = None
     return CalibrationEstimate(

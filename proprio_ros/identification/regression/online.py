@@ -22,7 +22,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 
 from proprio_ros.calibration_files.motions import MotionCalibration
 from proprio_ros.errors import RobotError
-from proprio_ros.identification.estimate import USEFUL_WHILE_RUNNING
+from proprio_ros.identification.estimate import LIMIT_WHILE_RUNNING
 from proprio_ros.identification.regression.arm_terms import ArmTerms
 from proprio_ros.identification.regression.motion_equations import (
     HOP_SHARE,
@@ -134,7 +134,7 @@ class OnlineEstimate:
     @property
     def known(self) -> bool:
         """Whether the interval is narrow enough to be called a mass."""
-        return self.ci95_kg[1] - self.ci95_kg[0] < 2.0 * USEFUL_WHILE_RUNNING.widest(self.mass_kg)
+        return self.ci95_kg[1] - self.ci95_kg[0] < 2.0 * LIMIT_WHILE_RUNNING.widest(self.mass_kg)
 
 
 @dataclass(frozen=True)
@@ -255,7 +255,7 @@ class OnlineEstimator:
             [robot.drive_trains[name].encoder_resolution for name in self.joints]
         )
         self.centre_m = tuple(float(axis) for axis in centre_m)
-        self._knows = _Knows(
+        self._prior = _ArmPrior(
             self._arm, calibration, np.asarray(centre_m), max(centre_std_m, LEAST_CENTRE_STD_M)
         )
         self._forget()
@@ -272,12 +272,10 @@ class OnlineEstimator:
         self._paced_s = float("nan")
         self._next_s = float("nan")
         self._filter: _Filter | None = None
-        self._after: _Filter | None = None  # the same since a change that is fresh
-        self._fresh_s: float | None = None
+        self._fresh: _FreshChange | None = None
         self._looked_s = float("nan")
         self._first_s = float("nan")
         self._changed_at_s = float("nan")
-        self._before_s = float("nan")
         self._moved_s = float("nan")
         self._told_until_s = -np.inf
         self._same = 0
@@ -393,7 +391,7 @@ class OnlineEstimator:
         self._hop_s = 0.5 * self._window_s
         self._next_s = times_s[0] + (reach + 1) * period_s
         self._paced_s = times_s[-1]
-        self._filter = _Filter(self._knows, self._window_s)
+        self._filter = _Filter(self._prior, self._window_s)
         return self._grid
 
     def _make(self, grid: _Grid, start_s: float) -> bool:
@@ -516,48 +514,53 @@ class OnlineEstimator:
 
     def _hear(self, window: _Window) -> None:
         """Go on by a window, and look for a step; where exactly it was shows in the windows after it."""
-        main = self._filter
-        known = self._fresh_s is not None
-        assert main is not None
-        main.step(window)
-        if self._after is not None and self._after.motion_s > FRESH_S:
-            main, known = self._commit(window)
-        onset_s = main.onset(STAY_SIGMAS if known else STEP_SIGMAS)
-        if onset_s is None:
-            if known:  # it was none
-                self._changed_at_s = self._before_s
-                self._told_until_s = -np.inf
-            self._fresh_s = None
-            self._after = None
-            return
-        if not known:
-            self._before_s = self._changed_at_s
-            self._told_until_s = self._looked_s + TOLD_S
-        if onset_s == self._fresh_s and self._after is not None:
-            self._after.step(window)
-        else:
-            self._after = main.after(onset_s)
-        self._fresh_s = self._changed_at_s = onset_s
-
-    def _commit(self, window: _Window) -> tuple[_Filter, bool]:
-        """A change stands: go on from it, and look for the next."""
-        assert self._after is not None
-        self._filter = self._after
+        assert self._filter is not None
         self._filter.step(window)
-        self._fresh_s = self._after = None
-        return self._filter, False
+        if self._fresh is not None and self._fresh.filter.motion_s > FRESH_S:
+            self._confirm(self._fresh, window)
+        fresh = self._fresh
+        onset_s = self._filter.onset(STEP_SIGMAS if fresh is None else STAY_SIGMAS)
+        if onset_s is None:
+            self._dismiss()
+        elif fresh is None:
+            self._told_until_s = self._looked_s + TOLD_S
+            self._fresh = _FreshChange(onset_s, self._filter.after(onset_s), self._changed_at_s)
+        elif onset_s == fresh.onset_s:
+            fresh.filter.step(window)
+        else:
+            self._fresh = replace(fresh, onset_s=onset_s, filter=self._filter.after(onset_s))
+        if onset_s is not None:
+            self._changed_at_s = onset_s
+
+    def _confirm(self, fresh: _FreshChange, window: _Window) -> None:
+        """The change stands: go on from it, and look for the next."""
+        self._filter = fresh.filter
+        self._filter.step(window)
+        self._fresh = None
+
+    def _dismiss(self) -> None:
+        """What looked like a change, if anything did, was none."""
+        if self._fresh is not None:
+            self._changed_at_s = self._fresh.before_s
+            self._told_until_s = -np.inf
+        self._fresh = None
+
+    @property
+    def _newest(self) -> _Filter | None:
+        """The filter that says what the hand holds now; None: there is none yet."""
+        return self._filter if self._fresh is None else self._fresh.filter
 
     @property
     def scale(self) -> TorqueScale:
         """What motion shows of the scale of all torques, of servos whose gain nobody reads; else nothing."""
-        now = self._filter if self._after is None else self._after
+        now = self._newest
         if now is None or not self._by_gain:
             return NOTHING_SEEN
         return now.scale
 
     def estimate(self) -> OnlineEstimate | None:
         """What the hand holds now; None before anything moved."""
-        now = self._filter if self._after is None else self._after
+        now = self._newest
         if now is None or not now.motion_s:
             return None
         scale = self._calibration.torque_scale
@@ -586,7 +589,16 @@ class OnlineEstimator:
         )
 
 
-class _Knows:
+@dataclass(frozen=True)
+class _FreshChange:
+    """What was picked up or put down just now; the next windows say whether and when exactly it was."""
+
+    onset_s: float
+    filter: _Filter  # with a load of which nothing is known since then
+    before_s: float  # when the change before it was; NaN: there was none
+
+
+class _ArmPrior:
     """What is known of an arm, for every filter of it."""
 
     def __init__(
@@ -640,14 +652,42 @@ class _Past:
 
 
 @dataclass(frozen=True)
-class _Heard:
+class _Columns:
+    """What stands where in the columns that the filter estimates side by side, for an arm of so many joints.
+
+    All go through the same gain: the state itself, how it follows errors of the torque constants and of their scale, and how it
+    would answer to a step of one kilogram at each instant of late.
+    """
+
+    count: int
+
+    measured = 0
+
+    @property
+    def shares(self) -> slice:
+        """Of each torque constant."""
+        return slice(1, 1 + self.count)
+
+    @property
+    def scale(self) -> int:
+        """Of all torques together."""
+        return 1 + self.count
+
+    @property
+    def first_step(self) -> int:
+        """Of the oldest step that may have been; the others follow."""
+        return 2 + self.count
+
+
+@dataclass(frozen=True)
+class _WindowEquations:
     """Equations of one window, E of them: what the state predicts is compared with what was measured."""
 
     along: FloatArray  # torque per kilogram of the load [N m/kg], shape (E,)
     rows: FloatArray  # torque per unit of the state, shape (E, N)
-    # columns: torque beside the calibration's [N m], what shares of the torque constants put on it, what all of the arm's torque
-    # does, and what steps that may have been put on it per kg; shape (E, 2 + n + onsets)
-    heard: FloatArray
+    # torque beside the calibration's [N m], what shares of the torque constants put on it, what all of the arm's torque does, and
+    # what steps that may have been put on it per kg: see `_Columns`, shape (E, 2 + n + onsets)
+    measured: FloatArray
 
 
 class _Filter:
@@ -660,13 +700,13 @@ class _Filter:
         motion_s: Seconds of motion since the load changed, or since the beginning.
     """
 
-    def __init__(self, knows: _Knows, window_s: float) -> None:
-        self._knows = knows
+    def __init__(self, prior: _ArmPrior, window_s: float) -> None:
+        self._prior = prior
         self._window_s = window_s
-        self._arm = slice(0, knows.root.shape[1])
+        self._arm = slice(0, prior.root.shape[1])
         self._other = slice(
             self._arm.stop,
-            self._arm.stop + knows.count,
+            self._arm.stop + prior.count,
         )
         self._load = slice(
             self._other.stop,
@@ -677,11 +717,11 @@ class _Filter:
         self._covariance = np.eye(size)
         self._time_s = float("nan")
         self._misfit = 1.0
-        # columns: what was measured, shares of the torque constants, the arm's torque, and steps that may have been
-        self._state = np.zeros((size, 2 + knows.count))
+        self._columns = _Columns(prior.count)
+        self._state = np.zeros((size, self._columns.first_step))
         self._scale = NOTHING_SEEN
-        self._loud: list[deque[tuple[float, float]]] = [
-            deque(maxlen=NOISE_WINDOWS) for _ in range(knows.count)
+        self._innovation_squares: list[deque[tuple[float, float]]] = [
+            deque(maxlen=NOISE_WINDOWS) for _ in range(prior.count)
         ]
         self._begun_s = -np.inf
         self._heavy_kg = 0.0
@@ -692,20 +732,19 @@ class _Filter:
 
     @property
     def mass_kg(self) -> float:
-        return float(self._state[self._load.start, 0]) * self._knows.widest_kg
+        return float(self._state[self._load.start, self._columns.measured]) * self._prior.widest_kg
 
     @property
     def std_kg(self) -> float:
         """Of the mass; more where windows do not fit."""
         mass = self._load.start
         variance = self._covariance[mass, mass] * max(self._misfit, 1.0)
-        return float(np.sqrt(variance)) * self._knows.widest_kg
+        return float(np.sqrt(variance)) * self._prior.widest_kg
 
     @property
     def by_share(self) -> FloatArray:
         """What each torque constant puts on the mass that is off by `LEAST_TORQUE_STD` [kg], shape (n,)."""
-        shares = slice(1, 1 + self._knows.count)
-        return self._state[self._load.start, shares] * self._knows.widest_kg
+        return self._state[self._load.start, self._columns.shares] * self._prior.widest_kg
 
     @property
     def scale(self) -> TorqueScale:
@@ -715,14 +754,14 @@ class _Filter:
     @property
     def by_scale(self) -> float:
         """What the mass is too large by per part that all torques are [kg]."""
-        arm = float(self._state[self._load.start, 1 + self._knows.count])
-        return arm * self._knows.widest_kg + self.mass_kg
+        arm = float(self._state[self._load.start, self._columns.scale])
+        return arm * self._prior.widest_kg + self.mass_kg
 
     def step(self, window: _Window) -> None:
         """Go on by one window."""
         start_s = window.start_s
         hop_s = 0.5 * self._window_s
-        first_step = 2 + self._knows.count
+        first_step = self._columns.first_step
         before = self._state[:, :first_step]
         self._past.append(
             _Past(
@@ -754,13 +793,13 @@ class _Filter:
         late_s = hop_s if np.isnan(self._time_s) else start_s - self._time_s
         keeps = np.ones(len(self._state))
         keeps[self._arm] = np.exp(-hop_s / MEMORY_S)
-        keeps[self._other] = np.exp(-late_s / self._knows.tau_s)
+        keeps[self._other] = np.exp(-late_s / self._prior.tau_s)
         self._state = self._state * keeps[:, None]
         fading = keeps.copy()
         fading[self._load] = np.exp(0.5 * hop_s / MEMORY_S)
         covariance = self._covariance * fading[:, None] * fading
-        prior = np.arange(self._load.start)
-        covariance[prior, prior] += 1.0 - keeps[: self._load.start] ** 2
+        fades = np.arange(self._load.start)
+        covariance[fades, fades] += 1.0 - keeps[fades] ** 2
         self._covariance = covariance
         self._time_s = start_s
 
@@ -768,7 +807,7 @@ class _Filter:
         """What the window says of the state, and how likely each step that may have been makes it."""
         window = made.rows
         equations = self._equations(window)
-        innovation = equations.heard - equations.rows @ self._state
+        innovation = equations.measured - equations.rows @ self._state
         spread = self._covariance @ equations.rows.T
         expected = equations.rows @ spread
         for covariance in self._of_model(made, equations.along):
@@ -779,50 +818,50 @@ class _Filter:
         gain = spread @ inverse
         self._state = self._state + gain @ innovation
         self._covariance = self._covariance - gain @ spread.T
-        weighted = inverse @ innovation[:, 0]
-        first_step = 2 + self._knows.count
-        scale = innovation[:, first_step - 1]
+        measured = innovation[:, self._columns.measured]
+        weighted = inverse @ measured
+        by_scale = innovation[:, self._columns.scale]
         keeps = np.exp(-0.5 * self._window_s / MEMORY_S)
-        heard = TorqueScale(float(scale @ weighted), float(scale @ inverse @ scale))
-        self._scale = self._scale.plus(heard, keeps)
-        steps = innovation[:, first_step:]
+        of_window = TorqueScale(float(by_scale @ weighted), float(by_scale @ inverse @ by_scale))
+        self._scale = self._scale.plus(of_window, keeps)
+        steps = innovation[:, self._columns.first_step :]
         self._along = self._along + steps.T @ weighted
         self._information = self._information + np.einsum("ij,ik,kj->j", steps, inverse, steps)
         keeps = np.exp(-0.5 * self._window_s / MISFIT_S)
-        misfit = float(innovation[:, 0] @ weighted)
+        misfit = float(measured @ weighted)
         self._misfit = keeps * self._misfit + (1.0 - keeps) * misfit / len(window.joint)
         for row, number in enumerate(window.joint):
-            squares = float(innovation[row, 0]) ** 2
-            self._loud[number].append((squares, float(expected[row, row])))
+            square = float(measured[row]) ** 2
+            self._innovation_squares[number].append((square, float(expected[row, row])))
 
-    def _equations(self, window: Rows) -> _Heard:
+    def _equations(self, window: Rows) -> _WindowEquations:
         """What a window says, by what is held and by how gears and motors lose torque under it."""
-        knows = self._knows
+        prior = self._prior
         mass_kg = self.mass_kg or self._heavy_kg
-        along = window.payload @ knows.point
+        along = window.payload @ prior.point
         design = window.design.copy()
         fill_drives(
             design,
-            knows.values,
+            prior.values,
             window,
-            ArmTerms(knows.count),
+            ArmTerms(prior.count),
             mass_kg * along,
         )
-        heavy = max(abs(mass_kg), LEAST_HEAVY_KG) * knows.centre_std_m
+        heavy = max(abs(mass_kg), LEAST_HEAVY_KG) * prior.centre_std_m
         rows = np.hstack(
             [
-                design @ knows.root,
-                np.eye(knows.count)[window.joint] * knows.noise,
-                along[:, None] * knows.widest_kg,
+                design @ prior.root,
+                np.eye(prior.count)[window.joint] * prior.noise,
+                along[:, None] * prior.widest_kg,
                 window.payload[:, 1:4] * heavy,
             ]
         )
-        off = window.torque - design @ knows.values
+        off = window.torque - design @ prior.values
         before = self._before_onsets(float(window.start_s[0]))
         steps = along[:, None] * (1.0 - before)
-        own = design @ knows.values
-        heard = np.hstack([off[:, None], design @ knows.by_share, own[:, None], steps])
-        return _Heard(along, rows, heard)
+        own = design @ prior.values
+        measured = np.hstack([off[:, None], design @ prior.by_share, own[:, None], steps])
+        return _WindowEquations(along, rows, measured)
 
     def _before_onsets(self, start_s: float) -> FloatArray:
         """How much of a window's weight lies before each step that may have been: the integral of its test function."""
@@ -839,18 +878,18 @@ class _Filter:
         """What no state knows: noise of accelerations, friction of joints that turn round, where a load was put on; (E, E) each."""
         window = made.rows
         yield made.of_acceleration[np.ix_(window.joint, window.joint)]
-        turning = TURNING * self._knows.coulomb[window.joint] * (1.0 - window.direction**2)
+        turning = TURNING * self._prior.coulomb[window.joint] * (1.0 - window.direction**2)
         yield np.diag(turning**2)
         if abs(window.start_s[0] - self._begun_s) < 0.25 * self._window_s:
             yield np.diag((ONSET_SHARE * self._heavy_kg * along) ** 2)
 
     def _noise(self, joint: int) -> float:
         """Variance of a window's mean torque that is its own [N^2 m^2], by the innovations of late."""
-        own = self._knows.noise[joint] ** 2
-        heard = self._loud[joint]
-        if len(heard) < FEWEST_WINDOWS:
+        own = self._prior.noise[joint] ** 2
+        of_late = self._innovation_squares[joint]
+        if len(of_late) < FEWEST_WINDOWS:
             return float(own)
-        squares, expected = np.median(np.array(heard), axis=0)
+        squares, expected = np.median(np.array(of_late), axis=0)
         # 0.455: the median of a squared normal number
         return float(np.clip(squares / 0.455 - expected, LEAST_NOISE**2 * own, own))
 
@@ -882,8 +921,8 @@ class _Filter:
         last = behind[0]
         number = self._onsets.index(onset_s)
         change_kg = float(self._along[number] / max(self._information[number], 1e-12))
-        held_kg = float(last.state[load.start, 0]) * self._knows.widest_kg
-        new = _Filter(self._knows, self._window_s)
+        held_kg = float(last.state[load.start, self._columns.measured]) * self._prior.widest_kg
+        new = _Filter(self._prior, self._window_s)
         new._time_s = last.time_s
         new._misfit = last.misfit
         new._scale = last.scale
@@ -895,7 +934,9 @@ class _Filter:
         new._covariance[load] = 0.0
         new._covariance[:, load] = 0.0
         new._covariance[load, load] = np.eye(4)
-        new._loud = [deque(heard, maxlen=NOISE_WINDOWS) for heard in self._loud]
+        new._innovation_squares = [
+            deque(of_joint, maxlen=NOISE_WINDOWS) for of_joint in self._innovation_squares
+        ]
         for past in behind:
             if past.window.start_s >= onset_s - 1e-6:
                 new.step(past.window)

@@ -8,7 +8,7 @@ import numpy as np
 
 from proprio_ros.calibration_files.motions import UNITS
 from proprio_ros.errors import some
-from proprio_ros.identification.estimate import Useful
+from proprio_ros.identification.estimate import WidthLimit
 from proprio_ros.identification.judge import FAR, Refusal, rejected, wide
 from proprio_ros.identification.regression.error_budget import CONSTANTS
 from proprio_ros.identification.regression.motion_fit import (
@@ -349,7 +349,7 @@ def lighter_than_empty(
 
 
 def interval_too_wide(
-    useful: Useful,
+    width_limit: WidthLimit,
     mass_kg: float,
     half_kg: float,
     parts: Sequence[tuple[str, float]],
@@ -359,14 +359,14 @@ def interval_too_wide(
     """Where the interval of a mass is wider than is useful.
 
     Args:
-        useful: How wide it may be.
+        width_limit: How wide it may be.
         mass_kg: That was found [kg].
         half_kg: Half width of its interval [kg].
         parts: What puts how much on it, by name.
         name: Of the recording and a colon, before the sentence.
         advice: After the sentence.
     """
-    if useful.exceeded_by(mass_kg, half_kg):
+    if width_limit.exceeded_by(mass_kg, half_kg):
         most, _ = max(parts, key=lambda part: part[1])
         half = shown(
             "kg",
@@ -377,4 +377,4 @@ def interval_too_wide(
             f"{name}this motion determines the mass only to +-{half}; what it errs by most: "
             f"{most}{advice}"
         )
-        yield wide(useful, sentence)
+        yield wide(width_limit, sentence)

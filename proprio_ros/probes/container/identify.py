@@ -24,9 +24,9 @@ from proprio_ros.identification.conclude import Conclusion, stated_in
 from proprio_ros.identification.estimate import (
     Estimate,
     SolverSummary,
-    Useful,
     Value,
     Verdict,
+    WidthLimit,
     no_answer,
     not_negative,
 )
@@ -359,8 +359,8 @@ class WeighedSphere(Conclusion):
             "probe shorter"
         ]
 
-    def useful(self) -> Useful:
-        return Useful(self.search.options.wide_share, self.search.options.wide_floor_kg)
+    def width_limit(self) -> WidthLimit:
+        return WidthLimit(self.search.options.wide_share, self.search.options.wide_floor_kg)
 
     def remarks(self) -> Iterator[str]:
         mass = self.assessed.value

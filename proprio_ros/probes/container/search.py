@@ -12,7 +12,7 @@ import numpy as np
 from proprio_ros.errors import ConfigurationError
 from proprio_ros.identification import solvers
 from proprio_ros.identification.calibration_fit import FRICTION_STARTS
-from proprio_ros.identification.estimate import USEFUL_FLOOR_KG, USEFUL_SHARE
+from proprio_ros.identification.estimate import WIDEST_FLOOR_KG, WIDEST_SHARE
 from proprio_ros.identification.fit import (
     FitResult,
     SearchOptions,
@@ -57,8 +57,8 @@ class ContainerOptions:
     # first guesses of the sphere's mass
     starts_kg: tuple[float, ...] = (0.002, 0.006, 0.015, 0.04, 0.1)
     # wide_share, wide_floor_kg: an answer whose half width exceeds this share of the value, and this mass, is ``too_wide``
-    wide_share: float = USEFUL_SHARE
-    wide_floor_kg: float = USEFUL_FLOOR_KG
+    wide_share: float = WIDEST_SHARE
+    wide_floor_kg: float = WIDEST_FLOOR_KG
     signals: str = "both"  # what runs that a camera saw are fitted to, one of ``SIGNALS``
 
     def __post_init__(self) -> None:

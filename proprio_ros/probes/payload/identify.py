@@ -26,13 +26,13 @@ from proprio_ros.identification import gates, sentences, swings
 from proprio_ros.identification.chance import chi2_limit
 from proprio_ros.identification.conclude import Conclusion, stated_in
 from proprio_ros.identification.estimate import (
-    USEFUL_FLOOR_KG,
-    USEFUL_SHARE,
+    WIDEST_FLOOR_KG,
+    WIDEST_SHARE,
     Estimate,
     SolverSummary,
-    Useful,
     Value,
     Verdict,
+    WidthLimit,
     no_answer,
 )
 from proprio_ros.identification.fit import (
@@ -110,8 +110,8 @@ SWING_ROUNDS = 4  # How often the error of a simulated swing is looked at again.
 class WeighingOptions(SearchOptions):
     """How to solve; an answer whose half width exceeds this share of the value, and this mass, is ``too_wide``."""
 
-    wide_share: float = USEFUL_SHARE
-    wide_floor_kg: float = USEFUL_FLOOR_KG
+    wide_share: float = WIDEST_SHARE
+    wide_floor_kg: float = WIDEST_FLOOR_KG
 
 
 def weigh(
@@ -701,8 +701,8 @@ class Weighed(Conclusion):
                 )
         return reasons
 
-    def useful(self) -> Useful:
-        return Useful(self.options.wide_share, self.options.wide_floor_kg)
+    def width_limit(self) -> WidthLimit:
+        return WidthLimit(self.options.wide_share, self.options.wide_floor_kg)
 
     @property
     def leaning(self) -> tuple[str, float]:

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 from proprio_ros.calibration_files.one_joint import OWN_TERMS, JointCalibration
-from proprio_ros.identification.estimate import USEFUL_OF_ONE_JOINT, Estimate, Fit
+from proprio_ros.identification.estimate import LIMIT_OF_ONE_JOINT, Estimate, Fit
 from proprio_ros.identification.judge import Refusal, judge, positive, rejected
 from proprio_ros.identification.regression.motion_fit import check_torque_constant
 from proprio_ros.identification.regression.one_joint_fit import STRETCH_S
@@ -115,6 +115,6 @@ def _refusals(
         )
     advice += f"; lift and lower the load, faster and for longer than the {STRETCH_S * fit.stretches:.0f} s used here"
     # a mass at the end of what was looked for may be any
-    useful = replace(USEFUL_OF_ONE_JOINT, share=0.0) if fit.at_the_end else USEFUL_OF_ONE_JOINT
-    yield from interval_too_wide(useful, fit.mass, half, fit.parts, f"{motion.name}: ", advice)
+    width_limit = replace(LIMIT_OF_ONE_JOINT, share=0.0) if fit.at_the_end else LIMIT_OF_ONE_JOINT
+    yield from interval_too_wide(width_limit, fit.mass, half, fit.parts, f"{motion.name}: ", advice)
     yield from outside(joint, fit.mass, calibration.loads_kg.tolist(), COVERED)

@@ -17,14 +17,14 @@ import numpy as np
 from proprio_ros.calibration_files.motions import MotionCalibration
 from proprio_ros.errors import RecordingError, TooLittleMotion
 from proprio_ros.identification.estimate import (
-    USEFUL_SHARE,
+    WIDEST_SHARE,
     Estimate,
     Fit,
     JointFit,
     Value,
     Verdict,
-    useful_by_goals,
-    useful_in_motion,
+    limit_by_goals,
+    limit_in_motion,
 )
 from proprio_ros.identification.judge import (
     ACCEPTED,
@@ -585,19 +585,19 @@ def _louder(fit: MotionFit) -> str:
 def _too_wide(fit: MotionFit, by_goals: bool) -> Iterator[Refusal]:
     """Why an answer that nothing else speaks against is not accepted; ``by_goals``: whether its torques are made of goals."""
     half = fit.half_width
-    useful = useful_in_motion(fit.arm_kg)
+    width_limit = limit_in_motion(fit.arm_kg)
     cure = (
         f"move faster and through more attitudes of the hand, longer than the {STRETCH_S * fit.stretches:.0f} s used here, and "
         "record the empty hand in the same motion"
     )
     if by_goals:
-        useful = useful_by_goals(fit.arm_kg)
+        width_limit = limit_by_goals(fit.arm_kg)
         cure = "keep the computer that hands goals on free, weigh again, and calibrate with a reference as heavy as the load"
-    if useful.exceeded_by(float(fit.values[0]), half):
+    if width_limit.exceeded_by(float(fit.values[0]), half):
         sentence = (
             f"this motion determines the mass only to +-{shown('kg', half, spec='.0f')}: {cure}"
         )
-        yield wide(useful, sentence)
+        yield wide(width_limit, sentence)
 
 
 def _assumptions(
@@ -687,7 +687,7 @@ def _inertia(fit: MotionFit, body: np.ndarray) -> Value:
     # a moment of inertia is told as a mass is, to half of itself, and a product only means something beside its moments
     seen = stds < SEEN_SHARE * fit.payload_prior[4:]
     moments = [0, 3, 5]
-    seen[moments] &= fit.quantile * stds[moments] < USEFUL_SHARE * value[moments]
+    seen[moments] &= fit.quantile * stds[moments] < WIDEST_SHARE * value[moments]
     for product, one, other in ((1, 0, 3), (2, 0, 5), (4, 3, 5)):
         seen[product] &= seen[one] or seen[other]
     names = [

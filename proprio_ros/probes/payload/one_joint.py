@@ -8,7 +8,7 @@ from itertools import chain
 
 import numpy as np
 
-from proprio_ros.identification.estimate import USEFUL_OF_ONE_JOINT, Estimate, Fit, Value
+from proprio_ros.identification.estimate import LIMIT_OF_ONE_JOINT, Estimate, Fit, Value
 from proprio_ros.identification.judge import (
     FAR,
     Refusal,
@@ -329,7 +329,7 @@ def _mass_refusals(
     half = fit.quantile * weighed.std
     advice = "check the URDF's masses, or are the recordings mixed up?"
     yield from lighter_than_empty(weighed.mass, half, advice)
-    yield from interval_too_wide(USEFUL_OF_ONE_JOINT, weighed.mass, half, weighed.parts)
+    yield from interval_too_wide(LIMIT_OF_ONE_JOINT, weighed.mass, half, weighed.parts)
 
 
 def _estimate(

@@ -11,7 +11,7 @@ import numpy as np
 from proprio_ros.calibration_files.motions import MotionCalibration
 from proprio_ros.errors import TooLittleMotion
 from proprio_ros.identification.chance import beyond_chance
-from proprio_ros.identification.estimate import Estimate, Fit, useful_in_motion
+from proprio_ros.identification.estimate import Estimate, Fit, limit_in_motion
 from proprio_ros.identification.judge import Refusal, judge, positive, rejected, wide
 from proprio_ros.identification.regression.at_rest import RestFit, fit_at_rest
 from proprio_ros.identification.regression.motion_equations import Arm
@@ -113,10 +113,10 @@ def _refusals(
 
 def _too_wide(fit: RestFit, arm_kg: float) -> Iterator[Refusal]:
     half = Z95 * fit.std_kg
-    useful = useful_in_motion(arm_kg)
-    if useful.exceeded_by(fit.mass_kg, half):
+    width_limit = limit_in_motion(arm_kg)
+    if width_limit.exceeded_by(fit.mass_kg, half):
         sentence = (
             f"so little motion determines the mass only to +-{shown('kg', half, spec='.0f')}: hold the arm in more poses, each "
             "reached from above and from below, or let it move for 15 s"
         )
-        yield wide(useful, sentence)
+        yield wide(width_limit, sentence)

@@ -20,11 +20,11 @@ from proprio_ros.errors import SimulationError
 from proprio_ros.identification import solvers
 from proprio_ros.identification.conclude import Conclusion, stated_in
 from proprio_ros.identification.estimate import (
-    USEFUL_SHARE,
+    WIDEST_SHARE,
     Estimate,
     SolverSummary,
-    Useful,
     Value,
+    WidthLimit,
     no_answer,
 )
 from proprio_ros.identification.fit import (
@@ -95,7 +95,7 @@ class SqueezeOptions:
     # half width of the 95 % interval of Young's modulus over its value beyond which none is given
     widest_relative: float = 1.0
     # an answer whose half width exceeds this share of the value is ``too_wide``
-    wide_share: float = USEFUL_SHARE
+    wide_share: float = WIDEST_SHARE
 
 
 @dataclass(frozen=True)
@@ -327,8 +327,8 @@ class Squeezed(Conclusion):
             yield f"{squeezed}, where what is known about elasticity ends: use less current"
         yield from _beyond_measured(list(compress(self.runs, self.search.squeezing)))
 
-    def useful(self) -> Useful:
-        return Useful(self.search.options.wide_share)
+    def width_limit(self) -> WidthLimit:
+        return WidthLimit(self.search.options.wide_share)
 
     def solver(self) -> SolverSummary:
         nominal = self.nominal

@@ -20,7 +20,7 @@ RECORDED_TORQUE = {"value": 1.0, "std": 0.1}
 
 
 @dataclass(frozen=True)
-class Wide:
+class DefaultPrior:
     """A default that goes with the joint."""
 
     # ``largest torque``: zero, and so much of it as standard deviation; ``weakest``: the same of the weakest joint, for
