@@ -61,14 +61,14 @@ def classes() -> dict[str, type[Exception]]:
 
 
 def _reasons() -> Iterator[str]:
-    from proprio_ros.identification.reasons import CODES, REMEDIES
+    from proprio_ros.identification.reasons import CODES
 
     said = messages.of_reasons()
-    for code, meaning in CODES.items():
+    for code, about in CODES.items():
         yield f"## {code}"
-        yield f"{meaning[0].upper()}{meaning[1:]}."
+        yield f"{about.meaning[0].upper()}{about.meaning[1:]}."
         yield from _quoted(said.get(code, []))
-        yield f"**What to do**: {REMEDIES[code]}."
+        yield f"**What to do**: {about.remedy}."
 
 
 def _errors() -> Iterator[str]:

@@ -13,7 +13,7 @@ from support.documents import page
 
 from proprio_ros.cli import main
 from proprio_ros.errors import ProprioError
-from proprio_ros.identification.reasons import CODES, REMEDIES
+from proprio_ros.identification.reasons import CODES
 
 BAGS = Path(__file__).resolve().parents[1] / "bags"
 PUSH = str(BAGS / "quantised_s00_fixed_heavy_ball_50g_joint3" / "bag_mcap")
@@ -49,8 +49,8 @@ def test_a_section_says_what_is_seen_why_and_what_to_do(name: str) -> None:
         own = re.findall(r"[a-zA-Z]{2,}", sentence)
         assert len(own) >= 3, "of its words hardly one is known before the program runs"
     if name in CODES:
-        assert why.rstrip(".").lower() == CODES[name].lower()
-        assert REMEDIES[name] in do
+        assert why.rstrip(".").lower() == CODES[name].meaning.lower()
+        assert CODES[name].remedy in do
 
 
 def test_what_the_page_quotes_is_what_the_program_says(capsys: pytest.CaptureFixture[str]) -> None:

@@ -378,39 +378,63 @@ def judge(
     refusals: Iterable[Refusal],
     assessed: Assessment | None = None,
 ) -> Refusal:
-    """What the verdict is, and why: of what speaks against an answer the first counts, and what comes after it is not computed.
+    """The verdict on an answer, and why.
 
-    Refusals come from the worst that can be wrong to the least; of a fit, unknowns and stamps speak, too.
+    Of what a probe has against it the first counts; the others are not computed. Whatever that is, three things that only a fit
+    shows make it a rejection: unknowns far from what is known, joints read from elsewhere, and an input stamped at another time.
+
+    Args:
+        refusals: Those of the probe, from the worst that can be wrong to the least.
+        assessed: The fit; None where there is none.
+
+    Returns:
+        What speaks against the answer; `ACCEPTED` where nothing does.
     """
     refusal = next(iter(refusals), ACCEPTED)
     if assessed is None or not np.isfinite(assessed.fit.chi2):
         return refusal
+    refusal = _far_from_priors(refusal, assessed)
+    refusal = _read_from_elsewhere(refusal, assessed)
+    return _stamped_at_another_time(refusal, assessed)
+
+
+def _far_from_priors(refusal: Refusal, assessed: Assessment) -> Refusal:
+    """A rejection is also for that; another refusal gives way to it."""
     far = assessed.far_from_priors()
-    if far:
-        if refusal.verdict is Verdict.REJECTED:
-            moreover = [Reason("far_from_prior", f"moreover, {each}") for each in far]
-            refusal = replace(refusal, reasons=(*refusal.reasons, *moreover))
-        else:
-            refusal = rejected(
-                "far_from_prior",
-                "the model only explains the recording far from what is known",
-                sentences.only_far(far),
-                *other_suspects(assessed.robot),
-            )
+    if not far:
+        return refusal
+    if refusal.verdict is Verdict.REJECTED:
+        moreover = [Reason("far_from_prior", f"moreover, {each}") for each in far]
+        return replace(refusal, reasons=(*refusal.reasons, *moreover))
+    return rejected(
+        "far_from_prior",
+        "the model only explains the recording far from what is known",
+        sentences.only_far(far),
+        *other_suspects(assessed.robot),
+    )
+
+
+def _read_from_elsewhere(refusal: Refusal, assessed: Assessment) -> Refusal:
+    """A rejection is also for that; another refusal gives way to it."""
     zeros = assessed.other_zeros()
-    if zeros:
-        others = refusal.reasons if refusal.verdict is Verdict.REJECTED else ()
-        withheld = refusal.withheld if others else "a joint is read from elsewhere than it is"
-        refusal = Refusal(Verdict.REJECTED, withheld, (*others, *zeros))
+    if not zeros:
+        return refusal
+    if refusal.verdict is Verdict.REJECTED:
+        return replace(refusal, reasons=(*refusal.reasons, *zeros))
+    return Refusal(Verdict.REJECTED, "a joint is read from elsewhere than it is", tuple(zeros))
+
+
+def _stamped_at_another_time(refusal: Refusal, assessed: Assessment) -> Refusal:
+    """This comes first, since it spoils everything else; that the interval is wide as well is not worth a word."""
     off = stamps_off(assessed.fit)
-    if off:
-        others = () if refusal.verdict is Verdict.TOO_WIDE else refusal.reasons
-        refusal = Refusal(
-            Verdict.REJECTED,
-            "the input is not stamped as the joint moved",
-            (*off, *others),
-        )
-    return refusal
+    if not off:
+        return refusal
+    others = () if refusal.verdict is Verdict.TOO_WIDE else refusal.reasons
+    return Refusal(
+        Verdict.REJECTED,
+        "the input is not stamped as the joint moved",
+        (*off, *others),
+    )
 
 
 def too_wide(assessed: Assessment, width_limit: WidthLimit, budget: Budget) -> Iterator[Refusal]:

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from proprio_ros.identification.estimate import Estimate, Fit, UnknownRow, Value, Verdict
-from proprio_ros.identification.reasons import REMEDIES
+from proprio_ros.identification.reasons import CODES
 from proprio_ros.quantity import shown, shown_unit, spec_for
 from proprio_ros.records import TORQUE_OFF
 from proprio_ros.report import html, pictures
@@ -122,8 +122,8 @@ def card(
         lines.append(f"<div>{escape(_interval_in_words(value, interval_first))}</div>")
     lines += bulleted(reasons)
     code = getattr(next(iter(reasons), ""), "code", "")
-    if verdict is not Verdict.ACCEPTED and code in REMEDIES:
-        lines.append(f"<div>What to do: {escape(REMEDIES[code])}.</div>")
+    if verdict is not Verdict.ACCEPTED and code in CODES:
+        lines.append(f"<div>What to do: {escape(CODES[code].remedy)}.</div>")
     return "<div>" + "".join(lines) + "</div>"
 
 

@@ -23,7 +23,7 @@ from proprio_ros.addons.fleet.listing import (
 )
 from proprio_ros.addons.fleet.plots import histogram, values_figure
 from proprio_ros.addons.fleet.rows import EPISODE, GRASP, PART, Row
-from proprio_ros.identification.reasons import CODES, REMEDIES
+from proprio_ros.identification.reasons import CODES
 from proprio_ros.pipeline.request import Options
 from proprio_ros.quantity import MAD_TO_STD, Z95, shown, shown_unit, spec_for
 from proprio_ros.report.html import Own, bars, provenance, table, write_document
@@ -244,9 +244,9 @@ def _what_to_do(
         check = f"<code>proprio check {escape(name + asked(options, True))}</code>"
         remedy = _HELP.get(code, _HELP[""]).replace("CHECK", check)
         return f"<p>{most_common}</p><p><b>What to do:</b> {remedy}</p>"
-    meaning = escape(_capitalised(CODES[code]))
+    meaning = escape(_capitalised(CODES[code].meaning))
     # commands are between backticks
-    remedy = re.sub(r"`([^`]*)`", r"<code>\1</code>", escape(_capitalised(REMEDIES[code])))
+    remedy = re.sub(r"`([^`]*)`", r"<code>\1</code>", escape(_capitalised(CODES[code].remedy)))
     return (
         f"<p>{meaning}.</p><p><b>What to do:</b> {remedy}.</p>"
         f"<p class=small>One of them: {most_common}</p>"

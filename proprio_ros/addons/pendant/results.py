@@ -12,7 +12,7 @@ from proprio_ros.addons.pendant.calls import GOOD, Call, Step
 from proprio_ros.addons.pendant.desk import REPORT
 from proprio_ros.addons.pendant.kept import estimate_in
 from proprio_ros.addons.pendant.words import answer_of, table
-from proprio_ros.identification.reasons import REMEDIES
+from proprio_ros.identification.reasons import CODES
 from proprio_ros.quantity import shown, spec_for
 from proprio_ros.recordings.datasets import arrow
 
@@ -62,8 +62,8 @@ def reason_list(sentences: Sequence[str], codes: Sequence[str]) -> str:
     """Sentences with what to do about each, as far as their codes are known."""
     rows = []
     for number, sentence in enumerate(sentences):
-        remedy = REMEDIES.get(codes[number] if number < len(codes) else "", "")
-        todo = f'<br><span class="todo">What to do: {escape(remedy)}.</span>' if remedy else ""
+        code = CODES.get(codes[number]) if number < len(codes) else None
+        todo = f'<br><span class="todo">What to do: {escape(code.remedy)}.</span>' if code else ""
         rows.append(f"<li>{escape(str(sentence))}{todo}</li>")
     return f'<ul class="reasons">{"".join(rows)}</ul>' if rows else ""
 
