@@ -28,7 +28,7 @@ from proprio_ros.identification.fit import (
 )
 from proprio_ros.identification.gates import (
     MISFIT_LIMIT,
-    Contradiction,
+    RunComparison,
     Findings,
     contradicting,
 )
@@ -83,7 +83,7 @@ class Conclusion:
         ]
         # found by `compare_runs`: which run contradicts the others, and what both say
         self.outlier: int | None = None
-        self.apart: Contradiction | None = None
+        self.comparison: RunComparison | None = None
         self.guesses: list[Guess] = []
 
     def values(self, withheld: str) -> tuple[Value, ...]:
@@ -114,9 +114,9 @@ class Conclusion:
         """The run that contradicts the others; None: they agree."""
         return contradicting(Posterior(self.opened.problem, self.opened.values))
 
-    def contradiction(self, outlier: int) -> Contradiction:
+    def compared_with_others(self, outlier: int) -> RunComparison:
         """What a run says that the others predict badly."""
-        return Contradiction(f"{self.runs[outlier].run.name} contradicts the other runs")
+        return RunComparison(f"{self.runs[outlier].run.name} contradicts the other runs")
 
     def guess(self) -> list[Guess]:
         """Facts that were not stated, and what that puts on the value."""
@@ -215,9 +215,9 @@ class Conclusion:
             return
         self.outlier = self.unlike_others()
         if self.outlier is not None:
-            self.apart = self.contradiction(self.outlier)
-            if self.apart.half is not None:
-                self.assessed.widen(self.apart.half)
+            self.comparison = self.compared_with_others(self.outlier)
+            if not self.comparison.contradicts:
+                self.assessed.widen(self.comparison.extra_std)
 
     def estimate(self) -> Estimate:
         """The answer: widened by what the probe is unsure of, by what runs say differently, and by what was guessed."""
@@ -270,11 +270,11 @@ class Conclusion:
                 f"{unsimulated}: {self.check}",
             )
         yield from self.against
-        if self.apart is not None and self.apart.half is None:
+        if self.comparison is not None and self.comparison.contradicts:
             yield rejected(
                 "runs_contradict",
                 "the runs contradict each other",
-                self.apart.sentence,
+                self.comparison.sentence,
             )
         yield from self.refusals()
         width_limit = self.width_limit()
@@ -286,8 +286,8 @@ class Conclusion:
         assessed = self.assessed
         if self.guesses:
             yield guessed(self.guesses, assessed.value)
-        if self.apart is not None and self.apart.sentence:
-            yield self.apart.sentence
+        if self.comparison is not None and self.comparison.sentence:
+            yield self.comparison.sentence
         if assessed.inflation > 1.0 and not self.fit.explains:
             yield sentences.coarse_fit(float(np.sqrt(assessed.inflation)), assessed.rms)
         yield from self.remarks()

@@ -52,14 +52,15 @@ class Findings:
 
 
 @dataclass(frozen=True)
-class Contradiction:
-    """A run that the others predict badly; where both say nearly the same, half of the difference widens the interval."""
+class RunComparison:
+    """What a run that the others predict badly says, against what they say."""
 
-    sentence: str  # what it says, and what they say; empty where that is the same
-    half: float | None = None  # of the difference; None where the run contradicts the others
+    sentence: str  # both; empty where they say the same
+    contradicts: bool = True  # else they differ by so little that the answer covers both
+    extra_std: float = 0.0  # half of the difference, by which the interval is then widened, in the unit of the value
 
 
-def contradiction(
+def compare_run(
     name: str,
     unit: str,
     one: float,
@@ -67,7 +68,7 @@ def contradiction(
     alike: float,
     same: float,
     question: str,
-) -> Contradiction:
+) -> RunComparison:
     """What to make of a run that says one value where the others say another.
 
     Args:
@@ -79,12 +80,12 @@ def contradiction(
         same: What is less is not worth a sentence.
         question: Put to the user where they contradict each other.
     """
-    apart = abs(one - others)
-    if apart < same:
-        return Contradiction("", 0.5 * apart)
-    if apart < alike:
-        return Contradiction(sentences.runs_differ(name, unit, one, others), 0.5 * apart)
-    return Contradiction(sentences.runs_contradict(name, unit, one, others, question))
+    difference = abs(one - others)
+    if difference >= alike:
+        sentence = sentences.runs_contradict(name, unit, one, others, question)
+        return RunComparison(sentence)
+    sentence = "" if difference < same else sentences.runs_differ(name, unit, one, others)
+    return RunComparison(sentence, contradicts=False, extra_std=0.5 * difference)
 
 
 def unusable(run: PreparedRun) -> str:

@@ -97,7 +97,7 @@ def _choice(decision: Decision) -> Choice:
     )
 
 
-def _spoilt(estimate: Estimate) -> bool:
+def _paused(estimate: Estimate) -> bool:
     """Whether nothing explains the runs, and joint states paused in one: that says nothing of the object."""
     rejected = estimate.verdict is Verdict.REJECTED
     return rejected and SPOILS in reason_codes(estimate.reasons)
@@ -181,7 +181,7 @@ class Jobs:
         self._say_what_is_guessed(task)
         self._prepare(job, task)
         bag, estimate = self._pushed(job, task)
-        while _spoilt(estimate) and self._may_repeat(job):
+        while _paused(estimate) and self._may_repeat(job):
             self._say_again(job, f"{refusal_of(estimate)}; recording: {bag}")
             bag, estimate = self._pushed(job, task)
         by = f"; {job.reason}" if job.reason else ""
@@ -224,7 +224,7 @@ class Jobs:
         )
 
         def publish(estimate: Estimate) -> None:
-            if not (_spoilt(estimate) and self._may_repeat(job)):
+            if not (_paused(estimate) and self._may_repeat(job)):
                 self._results.publish(request, estimate)
 
         try:

@@ -21,7 +21,7 @@ from proprio_ros.identification.fit import (
     summary,
     unexplained,
 )
-from proprio_ros.identification.gates import MISFIT_LIMIT, Contradiction, Findings
+from proprio_ros.identification.gates import MISFIT_LIMIT, RunComparison, Findings
 from proprio_ros.identification.judge import Guess, Refusal, not_identifiable, positive
 from proprio_ros.identification.prepared_runs import prepare_run
 from proprio_ros.identification.robot_unknowns import DRIVE_TERMS
@@ -58,8 +58,8 @@ class Weighed(Conclusion):
     def comparable(self) -> bool:
         return True
 
-    def contradiction(self, outlier: int) -> Contradiction:
-        return Contradiction(f"run {outlier} says otherwise", self.half)
+    def compared_with_others(self, outlier: int) -> RunComparison:
+        return RunComparison(f"run {outlier} says otherwise", self.half is None, self.half or 0.0)
 
     def guess(self) -> list[Guess]:
         return list(self.guessed)
@@ -232,13 +232,13 @@ def test_what_cannot_be_simulated_and_what_is_not_explained_are_refused(
         reason_codes(refused.reasons)[0] == "unsimulated"
         and "check the robot file's inertias" in refused.reasons[0]
     )
-    assert not nothing.guesses and nothing.apart is None
+    assert not nothing.guesses and nothing.comparison is None
 
 
 def test_runs_that_contradict_each_other_are_refused(two: tuple[FitResult, FitResult]) -> None:
     conclusion = Weighed(*two, Findings(), 2)
     estimate = conclusion.estimate()
-    assert conclusion.apart is not None and estimate.verdict is Verdict.REJECTED
+    assert conclusion.comparison is not None and estimate.verdict is Verdict.REJECTED
     assert estimate.reasons[0] in {"run 0 says otherwise", "run 1 says otherwise"}
     assert estimate.values[0].reason == "the runs contradict each other"
 

@@ -272,7 +272,8 @@ def test_when_masses_contradict_each_other(
         0.5e-3 * (one_g + others_g),
     )
     assert getattr(apart.sentence, "code", None) == code
-    assert apart.half is None if half_g is None else apart.half == pytest.approx(1e-3 * half_g)
+    assert apart.contradicts == (half_g is None)
+    assert apart.extra_std == pytest.approx(1e-3 * (half_g or 0.0))
 
 
 def test_a_run_that_nothing_can_be_compared_with_contradicts_the_others(robot: Robot) -> None:
@@ -291,8 +292,8 @@ def test_a_run_that_nothing_can_be_compared_with_contradicts_the_others(robot: R
     assert whole.without([0]).rolling == (True, False) and whole.without([0]).runs == whole.runs[1:]
     for search, outlier in ((whole, 2), (whole.without([1]), 0)):
         fit = search.solve(Role.FIXED)
-        apart = WeighedSphere(fit, fit, Findings(), 3, search).contradiction(outlier)
-        assert apart.half is None and "contradicts the other runs" in apart.sentence
+        apart = WeighedSphere(fit, fit, Findings(), 3, search).compared_with_others(outlier)
+        assert apart.contradicts and "contradicts the other runs" in apart.sentence
 
 
 @pytest.mark.parametrize(("factor", "accepted"), [(1.02, True), (1.3, False)])

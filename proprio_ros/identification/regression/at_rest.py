@@ -208,7 +208,7 @@ class RestFit:
 
     def scaled_by(self, scale: TorqueScale) -> RestFit:
         """The same where motion leaves the torques' ``scale`` open."""
-        of_gain = abs(self.by_scale_kg) * scale.open
+        of_gain = abs(self.by_scale_kg) * scale.unresolved
         return replace(
             self,
             std_kg=float(np.hypot(self.std_kg, of_gain)),

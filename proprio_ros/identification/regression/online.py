@@ -570,7 +570,7 @@ class OnlineEstimator:
         apart = np.linalg.norm(now.by_share * self._apart_std / LEAST_TORQUE_STD)
         constants = max(float(apart), abs(mass) * self._calibration.torque_scale_std)
         beside_constants = max(now.std_kg**2 - float(counted) ** 2, 0.0)
-        of_gain = now.by_scale * self.scale.seen
+        of_gain = now.by_scale * self.scale.likely_error
         if self.scale.is_other:
             of_gain = self._arm.kg
         std = float(np.sqrt(beside_constants + constants**2 + of_gain**2)) * scale

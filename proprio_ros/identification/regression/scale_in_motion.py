@@ -34,7 +34,7 @@ class TorqueScale:
         )
 
     @property
-    def off(self) -> float:
+    def relative_error(self) -> float:
         """That part."""
         return self.along / max(self.information, LEAST_INFORMATION)
 
@@ -45,22 +45,22 @@ class TorqueScale:
     @property
     def is_other(self) -> bool:
         """Whether torques are those of another gain."""
-        return abs(self.off) > float(noticed_from(self.std))
+        return abs(self.relative_error) > float(noticed_from(self.std))
 
     @property
-    def seen(self) -> float:
+    def likely_error(self) -> float:
         """By how much a true torque is another one, where that is likely but too little to be sure of; else 0."""
-        if abs(self.off) < Z95 * self.std:
+        if abs(self.relative_error) < Z95 * self.std:
             return 0.0
-        return abs(self.off) / max(1.0 + self.off, LEAST_SCALE)
+        return abs(self.relative_error) / max(1.0 + self.relative_error, LEAST_SCALE)
 
     @property
-    def open(self) -> float:
+    def unresolved(self) -> float:
         """By how much it may be another one: what is seen, or what the motion does not tell, if it tells anything."""
-        return max(self.seen, self.std if self.std < TELLS else 0.0)
+        return max(self.likely_error, self.std if self.std < TELLS else 0.0)
 
     @property
-    def told(self) -> str:
+    def precision_words(self) -> str:
         """How well motion shows it, to be put behind a sentence; empty where it does not."""
         return f": motion shows it to {100.0 * self.std:.0f} %" if self.std < TELLS else ""
 
@@ -68,7 +68,7 @@ class TorqueScale:
     def words(self) -> str:
         """What is wrong where it is that of another gain."""
         return (
-            f"where the arm moved its torques are {times(1.0 + self.off)} what its calibration knows, as with a servo's P gain or "
+            f"where the arm moved its torques are {times(1.0 + self.relative_error)} what its calibration knows, as with a servo's P gain or "
             "supply that is another one: set those of the calibration, or calibrate again"
         )
 

@@ -34,10 +34,10 @@ from proprio_ros.identification.fit import SearchOptions, fit_opened, summary
 from proprio_ros.identification.gates import (
     CONTRADICTION,
     MIN_USED,
-    Contradiction,
+    RunComparison,
     Findings,
     admitted,
-    contradiction,
+    compare_run,
 )
 from proprio_ros.identification.judge import (
     Guess,
@@ -195,7 +195,7 @@ def _screen_baseline(search: SphereSearch) -> tuple[float, list[Refusal]]:
     return mass, [rejected("baseline_not_empty", withheld, not_empty)] if not_empty else []
 
 
-def compared(name: str, one: float, others: float, together: float) -> Contradiction:
+def compared(name: str, one: float, others: float, together: float) -> RunComparison:
     """What a run says of the mass against what the others say.
 
     Args:
@@ -206,7 +206,7 @@ def compared(name: str, one: float, others: float, together: float) -> Contradic
     """
     question = "was the same sphere in the same container, held in the same place?"
     alike = max(ALIKE_SHARE * abs(together), ALIKE_KG)
-    return contradiction(name, "kg", one, others, alike, SAME_KG, question)
+    return compare_run(name, "kg", one, others, alike, SAME_KG, question)
 
 
 @dataclass(eq=False)
@@ -317,7 +317,7 @@ class WeighedSphere(Conclusion):
         # two more fits, which a fit that is refused for a worse reason is spared
         return super().comparable() and not self.against
 
-    def contradiction(self, outlier: int) -> Contradiction:
+    def compared_with_others(self, outlier: int) -> RunComparison:
         mass = self.assessed.value
         name = self.runs[outlier].run.name
         others = [row for row in self.rolling if row != outlier]
@@ -326,7 +326,7 @@ class WeighedSphere(Conclusion):
                 f"{name} contradicts the other runs ({1e3 * mass:.1f} g together): was the same sphere in the same container, "
                 "held in the same place, and the baseline empty?"
             )
-            return Contradiction(Reason("runs_contradict", sentence))
+            return RunComparison(Reason("runs_contradict", sentence))
         # each with the empty container's runs
         one, rest = (
             fit_opened(self.search.without(rows).solve).value_of(self.name)

@@ -183,11 +183,11 @@ def _weighed(
     first = _weigh(robot, kept, facts, options, baseline)
     last = first
     recordings = {run.name.rpartition("#")[0] or run.name for run in runs}
-    while len(recordings) == 1 and last.spoilt is not None:
+    while len(recordings) == 1 and last.blocking_run is not None:
         if len(left_out) + 1 > gates.LEFT_OUT_AT_MOST * len(runs):
             break
-        left_out.append(last.spoilt.name)
-        kept = [run for run in kept if run is not last.spoilt]
+        left_out.append(last.blocking_run.name)
+        kept = [run for run in kept if run is not last.blocking_run]
         last = _weigh(robot, kept, facts, options, baseline)
     if last.estimate.verdict is Verdict.REJECTED:
         cause = () if first.weighed is None else first.weighed.cause
@@ -211,7 +211,7 @@ class _Attempt:
 
     estimate: Estimate
     weighed: Weighed | None = None  # what may tell the cause of a refusal
-    spoilt: Run | None = None  # the run that stands in its way, where there is one
+    blocking_run: Run | None = None  # the run that stands in its way, where there is one
 
 
 @dataclass(frozen=True)
@@ -298,7 +298,7 @@ def _weigh(
     estimate = weighed.estimate()
     if estimate.verdict is not Verdict.REJECTED:
         return _Attempt(estimate, weighed)
-    return _Attempt(estimate, weighed, _spoilt(weighed, estimate, usable))
+    return _Attempt(estimate, weighed, _blocking_run(weighed, estimate, usable))
 
 
 def _nominal_and_open(
@@ -317,7 +317,7 @@ def _nominal_and_open(
     return fit_both(solve, again)
 
 
-def _spoilt(weighed: Weighed, estimate: Estimate, usable: _Usable) -> Run | None:
+def _blocking_run(weighed: Weighed, estimate: Estimate, usable: _Usable) -> Run | None:
     """The run of the weighing that stands in the way of an answer, where there is one."""
     off = {
         reason.subject
@@ -325,7 +325,11 @@ def _spoilt(weighed: Weighed, estimate: Estimate, usable: _Usable) -> Run | None
         if isinstance(reason, Reason) and reason.code == "stamps_off"
     }
     rows = [row for row, run in enumerate(usable.runs) if run.run.name in off]
-    if weighed.outlier is not None and weighed.apart is not None and weighed.apart.half is None:
+    if (
+        weighed.outlier is not None
+        and weighed.comparison is not None
+        and weighed.comparison.contradicts
+    ):
         rows.append(weighed.outlier)
     # a push that came late for a stall: only with another onset of its own is it followed
     own = [
@@ -536,21 +540,21 @@ class Weighed(Conclusion):
             return found
         return gates.of_another_value(self.assessed.posterior, self.name)
 
-    def contradiction(self, outlier: int) -> gates.Contradiction:
+    def compared_with_others(self, outlier: int) -> gates.RunComparison:
         mass = self.assessed.value
         name = self.runs[outlier].run.name
         if self.runs[outlier].load is not None:
             why = "the empty hand contradicts the other runs: was it empty, and has the robot changed meanwhile?"
-            return gates.Contradiction(f"{name}: {why}")
+            return gates.RunComparison(f"{name}: {why}")
         others = [run for row, run in enumerate(self.runs) if row != outlier]
         if all(run.load is not None for run in others):
             together = f"the empty-hand runs ({1e3 * mass:.1f} g together)"
-            return gates.Contradiction(
+            return gates.RunComparison(
                 f"{name} contradicts {together}: has the robot changed meanwhile?"
             )
         # where they say the same, the run is coarser than the others, and the fit's residuals show by how much
         question = "was the same object held in the same place, and does the base stand as it did?"
-        return gates.contradiction(
+        return gates.compare_run(
             name,
             "kg",
             self._mass_of([self.runs[outlier]]),

@@ -39,9 +39,9 @@ from proprio_ros.identification.fit import (
 from proprio_ros.identification.gates import (
     MIN_USED,
     UNMOVED_RAD,
-    Contradiction,
+    RunComparison,
     Findings,
-    contradiction,
+    compare_run,
     screen_run,
 )
 from proprio_ros.identification.judge import Guess, Refusal, not_identifiable, positive
@@ -244,17 +244,17 @@ class Squeezed(Conclusion):
         self.budget = self.assessed.budget()
         self.measured_std = self.assessed.std
 
-    def contradiction(self, outlier: int) -> Contradiction:
+    def compared_with_others(self, outlier: int) -> RunComparison:
         name = self.runs[outlier].run.name
         others = [row for row in range(len(self.runs)) if row != outlier]
         parts = [self.search.part(rows) for rows in ([outlier], others)]
         if not all(any(part.squeezing) for part in parts):
-            return Contradiction(
+            return RunComparison(
                 f"{name} contradicts the other runs: was the gripper empty where it should be?"
             )
         one, rest = [float(fit_opened(part.solve).physical(self.name)[0]) for part in parts]
         alike = max(ALIKE_SHARE * rest, self.assessed.std)  # what all runs together leave open
-        return contradiction(
+        return compare_run(
             name, "Pa", one, rest, alike, 0.0, "was the same block held in the same way?"
         )
 
