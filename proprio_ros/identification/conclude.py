@@ -28,8 +28,8 @@ from proprio_ros.identification.fit import (
 )
 from proprio_ros.identification.gates import (
     MISFIT_LIMIT,
-    RunComparison,
     Findings,
+    RunComparison,
     contradicting,
 )
 from proprio_ros.identification.judge import (

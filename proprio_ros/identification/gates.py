@@ -84,8 +84,11 @@ def compare_run(
     if difference >= alike:
         sentence = sentences.runs_contradict(name, unit, one, others, question)
         return RunComparison(sentence)
-    sentence = "" if difference < same else sentences.runs_differ(name, unit, one, others)
-    return RunComparison(sentence, contradicts=False, extra_std=0.5 * difference)
+    half = 0.5 * difference
+    if difference < same:
+        return RunComparison("", contradicts=False, extra_std=half)
+    differ = sentences.runs_differ(name, unit, one, others)
+    return RunComparison(differ, contradicts=False, extra_std=half)
 
 
 def unusable(run: PreparedRun) -> str:

@@ -21,7 +21,7 @@ from proprio_ros.identification.fit import (
     summary,
     unexplained,
 )
-from proprio_ros.identification.gates import MISFIT_LIMIT, RunComparison, Findings
+from proprio_ros.identification.gates import MISFIT_LIMIT, Findings, RunComparison
 from proprio_ros.identification.judge import Guess, Refusal, not_identifiable, positive
 from proprio_ros.identification.prepared_runs import prepare_run
 from proprio_ros.identification.robot_unknowns import DRIVE_TERMS

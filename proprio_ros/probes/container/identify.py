@@ -34,8 +34,8 @@ from proprio_ros.identification.fit import SearchOptions, fit_opened, summary
 from proprio_ros.identification.gates import (
     CONTRADICTION,
     MIN_USED,
-    RunComparison,
     Findings,
+    RunComparison,
     admitted,
     compare_run,
 )

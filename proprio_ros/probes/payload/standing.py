@@ -84,7 +84,8 @@ def identify_standing(
         [positive("payload_mass", "kg", fit.mass_kg, fit.std_kg, refusal.withheld)],
         (
             f"the arm hardly moved, and the mass rests on {how}",
-            f"nothing but the hand touches payload and arm; each servo has the gain that it was calibrated with{fit.scale.precision_words}",
+            "nothing but the hand touches payload and arm; each servo has the gain that it was calibrated with"
+            + fit.scale.precision_words,
         ),
         fit=None if fit.moved_s else Fit(fit.rms, fit.expected_rms, fit.chi2 / fit.freedom, "N m"),
         budget=list(fit.parts.items()),

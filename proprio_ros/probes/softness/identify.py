@@ -39,8 +39,8 @@ from proprio_ros.identification.fit import (
 from proprio_ros.identification.gates import (
     MIN_USED,
     UNMOVED_RAD,
-    RunComparison,
     Findings,
+    RunComparison,
     compare_run,
     screen_run,
 )
