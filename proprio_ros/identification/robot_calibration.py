@@ -488,13 +488,45 @@ def _fit_what_agrees(
     none contradicts the others then. Those that begin late wait until the others have said how they should: a fit of all together
     would have friction explain it.
     """
-    late = _late(runs)
-    left_out: list[PreparedRun] = []
-    if late:
-        progress(f"{', '.join(run.run.name for run in late)} began late; fitting without")
-        others = fit(robot, _without(late, runs))
-        left_out = [run for run in late if gates.surprising(*foretold(robot, others, run)) > 1.0]
-    late = left_out[:]
+    late = _late_runs(robot, runs, progress)
+    fitted, left_out = _leave_out_outliers(robot, runs, late, progress)
+    # with the last one some run contradicted the others: that need not be asked again
+    others = _without(late, left_out[:-1])
+    for run in others:
+        fewer = _without([run], left_out)
+        with_it = fit(robot, _without(fewer, runs))
+        if _outlier(robot, with_it) is None:
+            fitted = with_it
+            left_out = fewer
+    return fitted, [run.run.name for run in left_out]
+
+
+def _late_runs(
+    robot: Robot,
+    runs: list[PreparedRun],
+    progress: Callable[[str], None],
+) -> list[PreparedRun]:
+    """Runs that begin late, and are not what the others foretell."""
+    late = _that_begin_late(runs)
+    if not late:
+        return []
+    progress(f"{', '.join(run.run.name for run in late)} began late; fitting without")
+    others = fit(robot, _without(late, runs))
+    return [run for run in late if gates.surprising(*foretold(robot, others, run)) > 1.0]
+
+
+def _leave_out_outliers(
+    robot: Robot,
+    runs: list[PreparedRun],
+    late: list[PreparedRun],
+    progress: Callable[[str], None],
+) -> tuple[Fitted, list[PreparedRun]]:
+    """Fit all runs but ``late`` ones; while one of them contradicts the rest, leave it out and fit again.
+
+    Returns:
+        The fit, and what was left out, in that order.
+    """
+    left_out = late[:]
     kept = _without(left_out, runs)
     fitted = fit(robot, kept)
     while len(left_out) <= gates.LEFT_OUT_AT_MOST * len(runs) and len(kept) > 2:
@@ -504,13 +536,7 @@ def _fit_what_agrees(
         left_out.append(kept.pop(outlier))
         progress(f"{left_out[-1].run.name} contradicts the others; fitting without it")
         fitted = fit(robot, kept)
-    for run in _without(late, left_out[:-1]):
-        without = _without([run], left_out)
-        again = fit(robot, _without(without, runs))
-        if _outlier(robot, again) is None:
-            fitted = again
-            left_out = without
-    return fitted, [run.run.name for run in left_out]
+    return fitted, left_out
 
 
 def _without(
@@ -520,7 +546,7 @@ def _without(
     return [run for run in runs if all(run is not other for other in some)]
 
 
-def _late(runs: Sequence[PreparedRun]) -> list[PreparedRun]:
+def _that_begin_late(runs: Sequence[PreparedRun]) -> list[PreparedRun]:
     """Runs whose joint leaves its rest much later than in its others, the latest first, and not too many to be exceptions."""
     if runs[0].run.is_free_response:
         return []

@@ -67,9 +67,10 @@ class TorqueScale:
     @property
     def words(self) -> str:
         """What is wrong where it is that of another gain."""
+        larger = times(1.0 + self.relative_error)
         return (
-            f"where the arm moved its torques are {times(1.0 + self.relative_error)} what its calibration knows, as with a servo's P "
-            "gain or supply that is another one: set those of the calibration, or calibrate again"
+            f"where the arm moved its torques are {larger} what its calibration knows, as with a servo's P gain or "
+            "supply that is another one: set those of the calibration, or calibrate again"
         )
 
 
