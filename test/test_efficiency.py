@@ -37,6 +37,8 @@ def test_every_table_that_says_how_many_hold_is_in_it_or_is_of_recordings_that_a
         "foreign_stiff.stiffnesses",  # the answers of the row above it, by stiffness
         "mutated_pushes.mutated pushes",
         "simulated.paper",
+        "time_axis.factors",
+        "time_axis.machines",
     }
     for path in figures.RESULTS.glob("*.json"):
         for table, content in figures.kept(path.stem)["tables"].items():
