@@ -12,7 +12,7 @@ import tempfile
 from pathlib import Path
 
 from support.live import UP_S, wait_for
-from support.pendant import Shown, pendant
+from support.pendant import Shown, ask, pendant
 from support.tab import Tab, browser
 
 PAGES = Path(__file__).resolve().parent / "pages"
@@ -23,7 +23,7 @@ DRAWN_S = 5.0
 def does(tab: Tab, title: str) -> None:
     """A task of the wizard, until it is answered."""
     tab.click("Wizard")
-    tab.click(title)
+    ask(tab, title)
     tab.click("Start")
     tab.click("Begin")
     tab.shows(f"{title}: ")

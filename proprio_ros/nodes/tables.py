@@ -346,12 +346,13 @@ IDENTIFIER = (
         "What is known about the object, as with --set: payload.size=0.03, sphere.radius=0.01.",
         dynamic=True,
     ),
-    Parameter("robot_sequence", "empty_hand", "Probe sequence of calibrate_robot."),
+    Parameter("robot_sequence", "empty_hand", "Probe sequence of calibrate_robot.", dynamic=True),
     *(parameter for probe in all_probes() for parameter in _parameters_of(probe)),
     Parameter(
         "reference_sequence",
         "reference",
         "Probe sequence of calibrate_robot with the reference object.",
+        dynamic=True,
     ),
     Parameter(
         "reference_mass",

@@ -1,9 +1,10 @@
 """What the pendant costs: from nothing to a weighed 50 g by clicks, idle beside joint states at 100 Hz, and after long use.
 
-    python test/benchmarks/pendant.py [--no-install] [--no-first] [--idle 60] [--hours 12]
+    python test/benchmarks/pendant.py [--parts first hostile idle heard use] [--no-install] [--idle 60] [--hours 12]
 
 Real processes: a virtual environment of its own, `proprio pendant --virtual`, and Chromium in front of it. Long use is what twelve
-hours bring, without the waiting between: a page is opened and closed every five minutes, a service called every half hour.
+hours bring, without the waiting between: as many joint states as in that time are taken, with all that nodes say beside them, while
+the page of the arm is open and drawn; then a page is opened and closed every five minutes, a service called every half hour.
 """
 
 from __future__ import annotations
@@ -15,19 +16,24 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections import Counter
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from idle import cpu_s
+from idle import TICKS, cpu_s
 from results import REPOSITORY, Results, parser_of
 from support.domains import free_domain
-from support.pendant import Shown, pendant
+from support.hostile import hostile, is_refused, status_of
+from support.pendant import Shown, ask, pendant
 from support.tab import Browser, Tab, browser
 from support.waiting import wait_for
 
+TESTS = Path(__file__).resolve().parents[1]
 LONG_S = 900.0
 """A busy computer is slow; who says nothing for so long hangs."""
+PARTS = ("first", "hostile", "idle", "heard", "use")
 PAGES = ("/", "/wizard", "/recordings", "/history")
 OPENED_EACH_H = 12
 CALLED_EACH_H = 2
@@ -38,21 +44,24 @@ MOVES = re.compile(r'\\?"move\\?"')
 REST_S = 0.5
 ONE_FRAME_S = 0.02
 """What a page is told within so long is one picture, and whoever is told nothing for longer stands still."""
-PROGRAM = """
-import asyncio, signal, sys, threading
-from nicegui import Client, core
-from proprio_ros.cli import run
-
-def count(*_):
-    with open(told, "a") as file:
-        print(len(asyncio.all_tasks(core.loop)), len(Client.instances), threading.active_count(), file=file)
-
-told = sys.argv[1]
-signal.signal(signal.SIGUSR1, count)
-sys.argv[1:2] = []
-run()
-"""
-"""The pendant, which says at a signal how many tasks, clients and threads it has."""
+ELBOW = "the elbow alone"
+CLICKED = (
+    ("Calibrate the arm", ELBOW),
+    ("Weigh an object", ELBOW),
+    ("Calibrate the arm", ""),
+    ("Weigh an object", ""),
+)
+"""What the first weighing takes, and one with all joints."""
+HOUR_STATES = 3600 * 20
+"""As the pendant takes the newest twenty times a second."""
+ALL = "all"
+QUARTER_H = 3
+RARELY = "getElement(+document.querySelector('.scene').id.slice(1)).$.props.fps = 0.5"
+"""The page that is watched all the time draws its scene so often [1/s], since a processor does that here."""
+LONGEST_S = 3600.0
+SPEED = 100.0
+"""So many times shorter it waits where it hears what comes in hours."""
+PROGRAM = (sys.executable, "-m", "support.counted_pendant")
 
 
 def memory_mb(process: int) -> float:
@@ -67,10 +76,12 @@ def opened(process: int) -> int:
     return len(os.listdir(f"/proc/{process}/fd"))
 
 
-def does(tab: Tab, title: str) -> str:
+def does(tab: Tab, title: str, pushes: str = "") -> str:
     """A task of the wizard by clicks, until it is answered; what the page shows."""
     tab.click("Wizard")
-    tab.click(title)
+    ask(tab, title)
+    if pushes:
+        tab.choose("Pushes", pushes)
     tab.click("Start")
     tab.click("Begin")
     shown = "document.querySelector('.progress .hand')?.innerText"
@@ -81,36 +92,106 @@ def does(tab: Tab, title: str) -> str:
     return " ".join(str(tab.does(shown)).split())
 
 
-def installed(folder: Path) -> tuple[Path, float]:
-    """Python of a new environment with README's line, and how long that takes [s]."""
-    began_s = time.monotonic()
+class Stages:
+    """How long each part of a beginning takes, by the wall clock and of processors.
+
+    Args:
+        results: Rows go there.
+    """
+
+    def __init__(self, results: Results) -> None:
+        self._results = results
+        self._began_s = self._then_s = time.monotonic()
+        self._used_s = 0.0
+
+    def end(self, what: str, used_s: float, answer: str = "") -> None:
+        """One is over.
+
+        Args:
+            what: It was.
+            used_s: Processor seconds of all stages so far of the process that runs it.
+            answer: What the page shows.
+        """
+        now_s = time.monotonic()
+        self._results.row(
+            "first",
+            what=what,
+            wall_s=now_s - self._then_s,
+            core_s=used_s - self._used_s,
+            since_s=now_s - self._began_s,
+            answer=answer[:70],
+            load=load(),
+        )
+        self._then_s = now_s
+        self._used_s = used_s
+
+    def restart(self) -> None:
+        """From here on it counts, and the seconds of another process begin at zero."""
+        self._began_s = self._then_s = time.monotonic()
+        self._used_s = 0.0
+
+    def next_process(self) -> None:
+        """Its seconds begin at zero."""
+        self._used_s = 0.0
+
+
+def tree_cpu_s(top: int) -> float:
+    """Of a process and all below it, those that have ended, too [s]."""
+    used_s = {}
+    parents = {}
+    for place in Path("/proc").glob("[0-9]*/stat"):
+        try:
+            words = place.read_text().rpartition(")")[2].split()
+        except OSError:
+            continue  # it has ended
+        process = int(place.parent.name)
+        parents[process] = int(words[1])
+        used_s[process] = sum(map(int, words[11:15])) / TICKS
+    below = {top}
+    while more := {each for each, above in parents.items() if above in below} - below:
+        below |= more
+    return sum(used_s.get(each, 0.0) for each in below)
+
+
+def installed(stages: Stages, folder: Path) -> Path:
+    """Python of a new environment with README's line; with whatever pip keeps on this computer."""
     subprocess.run([sys.executable, "-m", "venv", folder / "venv"], check=True)
+    stages.restart()
     python = folder / "venv" / "bin" / "python"
-    command = [python, "-m", "pip", "install", "-q", "--no-cache-dir", "-e", ".[ros,sim,pendant]"]
-    subprocess.run(command, cwd=REPOSITORY, check=True)
-    return python, time.monotonic() - began_s
+    command = [python, "-m", "pip", "install", "-e", ".[ros,sim,pendant]"]
+    with subprocess.Popen(command, cwd=REPOSITORY, stdout=subprocess.PIPE, text=True) as pip:
+        assert pip.stdout is not None
+        for line in pip.stdout:
+            if line.startswith("Installing collected packages"):
+                stages.end("pip: choose and download", tree_cpu_s(pip.pid))
+            if line.startswith("Successfully installed"):
+                stages.end("pip: unpack and compile", tree_cpu_s(pip.pid))
+    assert pip.returncode == 0
+    return python
 
 
 def first_weighing(results: Results, window: Browser, folder: Path, install: bool) -> None:
-    """From nothing to a weighed 50 g, without a calibration and with one."""
-    python, install_s = installed(folder) if install else (Path(sys.executable), 0.0)
+    """From nothing to a weighed 50 g, by clicks in a browser that is open."""
+    stages = Stages(results)
+    python = installed(stages, folder) if install else Path(sys.executable)
     # whatever was compiled before is not there
     around = {"HOME": str(folder), "WARP_CACHE_PATH": str(folder / "kernels")}
-    began_s = time.monotonic()
+    if install:
+        around["PYTHONPATH"] = ""
     program = (str(python), "-m", "proprio_ros.cli")
+    stages.next_process()
     with pendant(folder, "--virtual", program=program, **around) as shown:
+
+        def end(what: str, answer: str = "") -> None:
+            stages.end(what, tree_cpu_s(shown.process.pid), answer)
+
         tab = window.tab()
         tab.open(shown.address.replace("/?", "/wizard?"))
+        end("the page is there")
         assert wait_for(lambda: "[identifier]: ready" in shown.told, LONG_S), shown.told
-        for what in (
-            "installed and ready",
-            "Weigh an object",
-            "Calibrate the arm",
-            "Weigh an object",
-        ):
-            answer = does(tab, what) if what in tab.text else ""
-            since_s = install_s + time.monotonic() - began_s
-            results.row("first", what=what, since_s=since_s, answer=answer[:70], load=load())
+        end("kernels are compiled")
+        for title, pushes in CLICKED:
+            end(f"{title}: {pushes or 'all'}", does(tab, title, pushes))
         tab.close()
 
 
@@ -170,7 +251,7 @@ def idle(results: Results, shown: Shown, window: Browser, seconds: float) -> Non
 
 
 def counted(shown: Shown, told: Path) -> list[int]:
-    """Tasks, clients and threads."""
+    """Tasks, clients, threads, joint states and pictures."""
     before = told.read_text().count("\n") if told.exists() else 0
     shown.process.send_signal(signal.SIGUSR1)
     assert wait_for(lambda: told.exists() and told.read_text().count("\n") > before, LONG_S)
@@ -183,7 +264,7 @@ def used(results: Results, shown: Shown, window: Browser, told: Path, hours: flo
 
     def row(what: str) -> None:
         time.sleep(FORGETS_S)
-        tasks, clients, threads = counted(shown, told)
+        tasks, clients, threads, _, _ = counted(shown, told)
         process = shown.process.pid
         results.row(
             "use",
@@ -211,37 +292,162 @@ def used(results: Results, shown: Shown, window: Browser, told: Path, hours: flo
         row("before" if hour < 0 else f"after {hour + 1} h of use")
 
 
+def heap(tab: Tab) -> tuple[float, int]:
+    """Of a page, without its garbage: what its script keeps [MB], and how many nodes it has."""
+    tab.call("HeapProfiler.collectGarbage")
+    used = tab.call("Runtime.getHeapUsage")["usedSize"]
+    return used / 2**20, int(tab.call("Memory.getDOMCounters")["nodes"])
+
+
+class Day:
+    """What hours bring, without the waiting between.
+
+    Args:
+        shown: The pendant, which hears somebody who talks fast.
+        window: For its pages.
+        told: Where it says what it has.
+    """
+
+    def __init__(self, shown: Shown, window: Browser, told: Path) -> None:
+        self._shown = shown
+        self._window = window
+        self._told = told
+        self._pages = 0
+        self._watches = window.tab()
+        self._watches.look(600, 500)
+        self._watches.open(shown.address)
+        self._watches.until("!!document.querySelector('.scene canvas')")
+        self._watches.does(RARELY)
+
+    def hour(self, number: int) -> None:
+        """Joint states of one hour more, and pages that open and close meanwhile."""
+        each = HOUR_STATES / OPENED_EACH_H
+        for page in range(OPENED_EACH_H):
+            due = each * (number * OPENED_EACH_H + page + 1)
+            assert wait_for(partial(self._took, due), LONGEST_S)
+            tab = self._window.tab()
+            tab.open(self._shown.address.replace("/?", f"{PAGES[page % len(PAGES)]}?"))
+            tab.until("!!document.querySelector('.page')?.innerText.trim()")
+            tab.close()
+            self._pages += 1
+
+    def row(self, results: Results, what: str) -> None:
+        """What there is now."""
+        time.sleep(FORGETS_S)
+        tasks, _, threads, states, drawn = counted(self._shown, self._told)
+        heap_mb, nodes = heap(self._watches)
+        process = self._shown.process.pid
+        results.row(
+            "heard",
+            what=what,
+            states=states,
+            drawn=drawn,
+            pages=self._pages,
+            mb=memory_mb(process),
+            files=opened(process),
+            tasks=tasks,
+            threads=threads,
+            heap_mb=heap_mb,
+            nodes=nodes,
+            load=load(),
+        )
+
+    def close(self) -> None:
+        """Nobody watches any more."""
+        self._watches.close()
+
+    def _took(self, due: float) -> bool:
+        time.sleep(REST_S)
+        self._watches.does("true")  # else what the browser tells waits here
+        return counted(self._shown, self._told)[3] >= due
+
+
+def heard(results: Results, shown: Shown, window: Browser, told: Path, hours: float) -> None:
+    """As many joint states as come in so many hours, and all that is said beside them, with the page of the arm open."""
+    day = Day(shown, window, told)
+    # what is loaded once is no leak
+    day.hour(0)
+    day.row(results, "before")
+    for hour in range(1, round(hours) + 1):
+        day.hour(hour)
+        if hour % QUARTER_H == 0 or hour == hours:
+            day.row(results, f"after {hour} h")
+    day.close()
+
+
+def refused(results: Results, folder: Path) -> None:
+    """Of hostile requests: what became of them, by what is wrong."""
+    with pendant(folder, "--virtual", HOME=str(folder)) as shown:
+        assert wait_for(lambda: "[identifier]: ready" in shown.told, LONG_S), shown.told
+        sent: Counter[str] = Counter()
+        through: Counter[str] = Counter()
+        calls: Counter[str] = Counter()
+        for each in hostile(shown):
+            before = len(shown.told)
+            sent[each.kind] += 1
+            through[each.kind] += not is_refused(each, status_of(shown, each.sent))
+            calls[each.kind] += "proprio call" in shown.told[before:]
+            calls[each.kind] += "stopped" in shown.told[before:]
+    for kind in (*sent, ALL):
+        counts = [sent, through, calls]
+        if kind == ALL:
+            asked, passed, moved = (each.total() for each in counts)
+        else:
+            asked, passed, moved = (each[kind] for each in counts)
+        results.row("hostile", kind=kind, sent=asked, refused=asked - passed, moved=moved)
+
+
 def main() -> None:
     parser = parser_of(__doc__)
     parser.add_argument("--no-install", action="store_true", help="begin with what is installed")
-    parser.add_argument("--no-first", action="store_true", help="leave out the first weighing")
     parser.add_argument("--idle", type=float, default=60.0, help="so long each is watched [s]")
     parser.add_argument("--hours", type=float, default=12.0, help="of use")
+    parser.add_argument("--parts", nargs="+", choices=PARTS, default=PARTS, help="of it")
     given = parser.parse_args()
     os.environ["ROS_DOMAIN_ID"] = free_domain()
     results = Results(__file__, given.json)
     since = {
         "": "{what}",
+        "takes": "{wall_s:.0f} s",
+        "of processors": "{core_s:.0f} s",
         "since the first command": "{since_s:.0f} s",
         "the page shows": "{answer}",
     }
     results.table("first", {**since, "load": "{load:.0f}"})
     figures = {"": "{what}", "of a core": "{core:.1%}", "memory": "{mb:.0f} MB"}
+    asked = {"what is wrong": "{kind}", "requests": "{sent}", "refused": "{refused}"}
+    results.table("hostile", {**asked, "called or stopped something": "{moved}"})
     results.table("idle", {**figures, "frames per second": "{fps:.0f}", "load": "{load:.0f}"})
     counts = {"pages opened": "{pages}", "services called": "{calls}", "memory": "{mb:.0f} MB"}
     more = {"files": "{files}", "tasks": "{tasks}", "clients": "{clients}", "threads": "{threads}"}
     results.table("use", {"": "{what}", **counts, **more})
+    came = {"joint states taken": "{states:,}", "pictures": "{drawn:,}", "pages opened": "{pages}"}
+    page = {"the page keeps": "{heap_mb:.1f} MB", "in nodes": "{nodes}", "load": "{load:.0f}"}
+    now = {key: more[key] for key in ("files", "tasks", "threads")}
+    now = {"memory": counts["memory"], **now}
+    results.table("heard", {"": "{what}", **came, **now, **page})
     with tempfile.TemporaryDirectory() as place, browser(Path(place)) as window:
         folder = Path(place)
-        if not given.no_first:
+        if "first" in given.parts:
             first_weighing(results, window, folder, not given.no_install)
+        if "hostile" in given.parts:
+            refused(results, folder)
         told = folder / "counts.txt"
-        around = {"HOME": place}
-        program = (sys.executable, "-c", PROGRAM, str(told))
+        around = {"HOME": place, "PYTHONPATH": os.pathsep.join([str(TESTS), str(REPOSITORY)])}
+        if "heard" in given.parts:
+            fast = (*PROGRAM, str(told), str(SPEED))
+            with pendant(folder, program=fast, **around) as shown:
+                heard(results, shown, window, told, given.hours)
+        if not {"idle", "use"} & set(given.parts):
+            results.keep()
+            return
+        program = (*PROGRAM, str(told), "1")
         with pendant(folder, "--virtual", program=program, **around) as shown:
             assert wait_for(lambda: "[identifier]: ready" in shown.told, LONG_S), shown.told
-            idle(results, shown, window, given.idle)
-            used(results, shown, window, told, given.hours)
+            if "idle" in given.parts:
+                idle(results, shown, window, given.idle)
+            if "use" in given.parts:
+                used(results, shown, window, told, given.hours)
     results.keep()
 
 

@@ -33,6 +33,7 @@ PICK = """(() => {
 })()"""
 """Where one would click; null while nothing is there, or something lies over it."""
 MOST_TABS = 80
+MOST_CHOICES = 40
 DRAG = """(() => {
   const data = new DataTransfer(), from = document.querySelector(%s), to = document.querySelector(%s);
   const say = (it, kind) => it.dispatchEvent(new DragEvent(kind, {dataTransfer: data, bubbles: true, cancelable: true}));
@@ -130,6 +131,16 @@ class Tab:
     def drag(self, what: str, where: str) -> None:
         """What a selector finds, to where another does: what the page would hear of a mouse."""
         self.does(DRAG % (json.dumps(what), json.dumps(where)))
+
+    def choose(self, box: str, words: str) -> None:
+        """In a box of this name, what begins with these words; by the arrow key."""
+        found = f"document.querySelector({json.dumps(f'select[aria-label={json.dumps(box)}]')})"
+        self.until(f"({found}.focus(), document.activeElement === {found})")
+        for _ in range(MOST_CHOICES):
+            if str(self.does(f"{found}.selectedOptions[0].text")).startswith(words):
+                return
+            self.press("ArrowDown")
+        raise AssertionError(f"{box}: no {words!r}")
 
     def press(self, key: str, code: str = "", text: str = "") -> None:
         """A key, down and up."""

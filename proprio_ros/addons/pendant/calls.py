@@ -89,6 +89,7 @@ class Call:
 
     async def run(self) -> None:
         """Until it is answered."""
+        answer = None
         try:
             self._process = await asyncio.create_subprocess_exec(
                 *self.program,
@@ -101,16 +102,14 @@ class Call:
             )
             if self.cancelled:
                 self._interrupt()
-            printed, _ = await asyncio.gather(
-                self._printed(),
-                self._listen(),
-            )
-            self.answer = _answer(printed, self.said)
+            printed, _ = await asyncio.gather(self._printed(), self._listen())
+            answer = _answer(printed, self.said)
         finally:
-            self.seconds = monotonic() - self._begun_s
-            self.answer = self.answer or {"success": False, "message": "the call was given up"}
+            # before anybody sees that it is over, and begins the next
             if self.then is not None:
                 await self.then()
+            self.seconds = monotonic() - self._begun_s
+            self.answer = answer or {"success": False, "message": "the call was given up"}
 
     def cancel(self) -> None:
         """End the job; the arm is held."""
@@ -122,10 +121,7 @@ class Call:
         """Wait until it has ended, so long at most."""
         if self._process is not None:
             with contextlib.suppress(TimeoutError, asyncio.TimeoutError):
-                await asyncio.wait_for(
-                    self._process.wait(),
-                    seconds,
-                )
+                await asyncio.wait_for(self._process.wait(), seconds)
 
     def _interrupt(self) -> None:
         if self._process is not None and self._process.returncode is None:
@@ -149,11 +145,7 @@ def _answer(printed: bytes, said: Sequence[str]) -> dict[str, Any]:
     except ValueError:
         found = {}
     message = found.get("message") or found.get("error") or (said[-1] if said else "no answer")
-    return {
-        **found,
-        "success": bool(found.get("success")),
-        "message": message,
-    }
+    return {**found, "success": bool(found.get("success")), "message": message}
 
 
 @dataclass

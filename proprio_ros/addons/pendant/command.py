@@ -45,19 +45,8 @@ def add_parser(add: Callable[..., Parser]) -> None:
         help="to be found at (default 127.0.0.1, from this computer only; 0.0.0.0: from the network, unencrypted)",
     )
     port = f"of the page (default {PORT}; 0: a free one)"
-    it.add_argument(
-        "--port",
-        type=int,
-        default=PORT,
-        metavar="N",
-        help=port,
-    )
-    it.add_argument(
-        "--namespace",
-        default="",
-        metavar="NAME",
-        help="of the nodes, as for `live`",
-    )
+    it.add_argument("--port", type=int, default=PORT, metavar="N", help=port)
+    it.add_argument("--namespace", default="", metavar="NAME", help="of the nodes, as for `live`")
 
 
 def pendant(options: argparse.Namespace, given: Sequence[str]) -> int:
@@ -76,20 +65,11 @@ def pendant(options: argparse.Namespace, given: Sequence[str]) -> int:
 
     def begin() -> None:
         if options.virtual:
-            started.append(
-                _virtual(
-                    namespace,
-                    options.object,
-                )
-            )
+            started.append(_virtual(namespace, options.object))
 
+    shown = Pendant(namespace, say, options.read_only)
     try:
-        serve(
-            Pendant(namespace, say, options.read_only),
-            options.host,
-            options.port,
-            begin,
-        )
+        serve(shown, options.host, options.port, begin)
     except KeyboardInterrupt:
         pass  # asked for
     finally:
@@ -103,13 +83,7 @@ def _virtual(namespace: str, held: str | None) -> subprocess.Popen[bytes]:
     """A virtual arm with its nodes, which end with this process."""
     from proprio_ros.nodes.graph import end_with_parent
 
-    words = [
-        sys.executable,
-        "-m",
-        "proprio_ros.cli",
-        "live",
-        "--virtual",
-    ]
+    words = [sys.executable, "-m", "proprio_ros.cli", "live", "--virtual"]
     if namespace:
         words += ["--namespace", namespace]
     if held is not None:

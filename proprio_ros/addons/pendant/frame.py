@@ -22,33 +22,16 @@ def frame(pendant: Pendant) -> None:
     ui.colors(primary="#2a7f9e")
     with ui.element("header").classes("top"):
         with ui.element("nav").props('aria-label="Pages"'):
-            links = {
-                page.path: ui.link(
-                    page.title,
-                    page.path,
-                )
-                for page in PAGES
-            }
+            links = {page.path: ui.link(page.title, page.path) for page in PAGES}
         holder = ui.label().classes("holder").props('role="status"')
-        gives = ui.button(
-            "Give up",
-            on_click=lambda: pendant.lease.give_up(client.id),
-        )
+        gives = ui.button("Give up", on_click=lambda: pendant.lease.give_up(client.id))
         gives.props("flat dense no-caps")
         stop = ui.element("button").classes("stop").props('type="button" aria-keyshortcuts="Space"')
         with stop:
             ui.label("STOP")
             ui.label("space bar").classes("hint")
-    with ui.element("main"):
-        ui.sub_pages(
-            {
-                page.path: partial(
-                    loaded(page.place),
-                    pendant,
-                )
-                for page in PAGES
-            }
-        )
+    with ui.element("div").classes("page"):
+        ui.sub_pages({page.path: partial(loaded(page.place), pendant) for page in PAGES})
 
     def went(address: str) -> None:
         path = address.partition("?")[0]
@@ -67,10 +50,7 @@ def frame(pendant: Pendant) -> None:
     client.sub_pages_router.on_path_changed(went)
     went(client.sub_pages_router.current_path)
     ui.timer(1.0, tell)
-    ui.timer(
-        HEAR_S,
-        lambda: _hear(pendant, client),
-    )
+    ui.timer(HEAR_S, lambda: _hear(pendant, client))
 
 
 def _holder(pendant: Pendant, client: Client) -> str:
@@ -89,8 +69,5 @@ async def _hear(pendant: Pendant, client: Client) -> None:
     """Ask a page that holds the arm whether it is there: its answer, not an open socket, says so."""
     if pendant.lease.holder == client.id:
         with contextlib.suppress(TimeoutError):
-            if await client.run_javascript(
-                "true",
-                timeout=SILENCE_S,
-            ):
+            if await client.run_javascript("true", timeout=SILENCE_S):
                 pendant.lease.hear(client.id)

@@ -10,21 +10,9 @@ from __future__ import annotations
 import hmac
 import ipaddress
 import socket
-from collections.abc import Awaitable, Callable, MutableMapping
-from typing import Any
 from urllib.parse import parse_qs, urlsplit
 
-Scope = MutableMapping[str, Any]
-Receive = Callable[[], Awaitable[MutableMapping[str, Any]]]
-Send = Callable[[MutableMapping[str, Any]], Awaitable[None]]
-App = Callable[
-    [
-        Scope,
-        Receive,
-        Send,
-    ],
-    Awaitable[None],
-]
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 COOKIE = "proprio_pendant"
 METHODS = ("GET", "HEAD", "POST")
@@ -48,7 +36,7 @@ HEADERS = (
 class Gate:
     """An ASGI application before another: what may not come in gets one sentence, and `app` never hears of it."""
 
-    def __init__(self, app: App, token: str) -> None:
+    def __init__(self, app: ASGIApp, token: str) -> None:
         self.app = app
         self._token = token
         self._names = {"localhost", socket.gethostname().lower()}
@@ -167,7 +155,7 @@ async def _answer(send: Send, status: int, text: str, *headers: tuple[bytes, byt
 def _with_headers(send: Send) -> Send:
     """Answers of the pages say to the browser whom they trust."""
 
-    async def sent(message: MutableMapping[str, Any]) -> None:
+    async def sent(message: Message) -> None:
         if message["type"] == "http.response.start":
             message = {**message, "headers": [*message["headers"], *HEADERS]}
         await send(message)

@@ -44,9 +44,9 @@ class Kept:
         return self.folder.name.rpartition("_")[2]
 
 
-def kept(places: Places, folder: Path) -> list[Kept]:
-    """What is in a folder of answers, newest first. Raises `ConfigurationError`: It may not be looked into."""
-    return list(_each(places.inside(folder)))
+def kept(places: Places) -> list[Kept]:
+    """What is in the folder of answers, newest first. Raises `ConfigurationError`: It may not be looked into."""
+    return list(_each(places.inside(places.data)))
 
 
 def _each(folder: Path) -> Iterator[Kept]:
@@ -96,7 +96,7 @@ def _when(folder: Path) -> datetime:
 
 def calibrations(places: Places) -> list[Path]:
     """Files of calibrations, newest first: those kept, and those in the folder where the pendant was started."""
-    found = [each.calibration for each in kept(places, places.data) if each.calibration]
+    found = [each.calibration for each in kept(places) if each.calibration]
     beside = [path for path in places.begun.glob("*.yaml") if _is_calibration(path)]
     return [*found, *beside]
 

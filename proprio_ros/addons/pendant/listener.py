@@ -95,33 +95,16 @@ class Listener:
 
     def parameters(self, *names: str) -> dict[str, Any] | None:
         """Those of the identifier; blocks for so long as it may take. None: it does not answer."""
-        answer = self._asked(
-            self._gets,
-            GetParameters.Request(names=list(names)),
-        )
+        answer = self._asked(self._gets, GetParameters.Request(names=list(names)))
         if answer is None or len(answer.values) != len(names):
             return None
-        return dict(
-            zip(
-                names,
-                map(parameter_value_to_python, answer.values),
-                strict=True,
-            )
-        )
+        values = map(parameter_value_to_python, answer.values)
+        return dict(zip(names, values, strict=True))
 
     def state(self, values: Mapping[str, Any]) -> str:
         """Set parameters of the identifier; why it refuses, empty where it does not. Blocks as `parameters` does."""
-        stated = [
-            Parameter(
-                name,
-                value=value,
-            ).to_parameter_msg()
-            for name, value in values.items()
-        ]
-        answer = self._asked(
-            self._sets,
-            SetParameters.Request(parameters=stated),
-        )
+        stated = [Parameter(name, value=value).to_parameter_msg() for name, value in values.items()]
+        answer = self._asked(self._sets, SetParameters.Request(parameters=stated))
         if answer is None:
             return "the identifier does not answer; start the nodes: proprio live"
         refused = [str(result.reason) for result in answer.results if not result.successful]
@@ -181,10 +164,7 @@ class Listener:
         )
 
     def _on(self, about: str) -> Any:
-        return lambda message: self._news.hear(
-            about,
-            _said(message),
-        )
+        return lambda message: self._news.hear(about, _said(message))
 
     def _on_estimate(self, message: DiagnosticArray) -> None:
         now_ns = int(self._node.get_clock().now().nanoseconds)
@@ -212,10 +192,7 @@ class Listener:
 def _take_newest(subscription: Any, take: Callable[[Any], None]) -> None:
     """Without waiting for it, which costs an executor many times as much."""
     with subscription.handle:
-        taken = subscription.handle.take_message(
-            subscription.msg_type,
-            subscription.raw,
-        )
+        taken = subscription.handle.take_message(subscription.msg_type, subscription.raw)
     if taken is not None:
         take(taken[0])
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +18,7 @@ from proprio_ros.errors import ProprioError, RecordingError
 from proprio_ros.pipeline.api import check
 from proprio_ros.pipeline.loading import bag_recording
 from proprio_ros.pipeline.request import Options, request_of
-from proprio_ros.records import Recording
+from proprio_ros.records import InputRecord, JointRecord, Recording
 
 MOST_POINTS = 500
 """Of a curve."""
@@ -45,66 +45,40 @@ def drawn(recording: Recording) -> list[dict[str, Any]]:
     """Plots, each with its title and a curve a joint: times [s], values."""
     joints = recording.joints
     begin_ns = int(joints.times_ns[0])
-    plots = [
-        _plot(
-            "position [rad or m]",
-            joints.times_ns,
-            begin_ns,
-            joints.names,
-            joints.position,
-        ),
-    ]
-    measured = {
+    values = {
+        "position [rad or m]": joints.position,
         "effort [N m or N]": joints.effort,
         "measured current [A]": joints.current,
     }
     if joints.effort is None and joints.current is None:
-        measured["effort, as published"] = joints.reported_effort
-    plots += [
-        _plot(
-            title,
-            joints.times_ns,
-            begin_ns,
-            joints.names,
-            values,
-        )
-        for title, values in measured.items()
-        if values is not None
+        values["effort, as published"] = joints.reported_effort
+    plots = [
+        _plot(title, joints, columns, begin_ns)
+        for title, columns in values.items()
+        if columns is not None
     ]
     inputs = recording.inputs
     if inputs is not None and not inputs.measured:
         title = f"input current [A], {inputs.source}"
-        steps = _plot(
-            title,
-            inputs.times_ns,
-            begin_ns,
-            inputs.names,
-            inputs.current_A,
-        )
-        plots.append({**steps, "step": "end"})
+        plots.append({**_plot(title, inputs, inputs.current_A, begin_ns), "step": "end"})
     return plots
 
 
 def _plot(
-    title: str,
-    times_ns: np.ndarray,
-    begin_ns: int,
-    names: Sequence[str],
-    values: np.ndarray,
+    title: str, series: JointRecord | InputRecord, values: np.ndarray, begin_ns: int
 ) -> dict[str, Any]:
     """One plot.
 
     Args:
         title: With its unit.
-        times_ns: Of the samples, shape (T,).
+        series: Whose times and joints these are.
+        values: Of the joints, shape (T, J).
         begin_ns: Where the time axis begins.
-        names: Of the joints.
-        values: Of these, shape (T, J).
     """
-    rows = slice(None, None, max(1, len(times_ns) // MOST_POINTS))
-    times_s = np.round(1e-9 * (times_ns[rows] - begin_ns), 4)
+    rows = slice(None, None, max(1, len(values) // MOST_POINTS))
+    times_s = np.round(1e-9 * (series.times_ns[rows] - begin_ns), 4)
     curves = {}
-    for name, column in zip(names, values[rows].T, strict=True):
+    for name, column in zip(series.names, values[rows].T, strict=True):
         known = np.isfinite(column)
         points = np.column_stack([times_s[known], column[known]])
         curves[name] = [[x, float(f"{y:.5g}")] for x, y in points.tolist()]

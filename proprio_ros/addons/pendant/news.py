@@ -188,7 +188,8 @@ class News:
         found += [each for each in self.diagnostics if each.level > 0]
         ordered = sorted(found, key=lambda said: -said.level)
         # who wants all of a refusal reads its answer in the wizard
-        return list(dict.fromkeys(said.message.partition("; ")[0] for said in ordered))
+        heads = dict.fromkeys(said.message.partition("; ")[0] for said in ordered)
+        return [head for head in heads if not any(head in each and head != each for each in heads)]
 
     @property
     def diagnostics(self) -> list[Said]:

@@ -70,9 +70,8 @@ def select(
         value: What is chosen.
         change: Called with what is chosen then.
     """
-    marks = {True: " selected", False: ""}
     inner = "".join(
-        f'<option value="{escape(key)}"{marks[key == value]}>{escape(words)}</option>'
+        f'<option value="{escape(key)}"{" selected" * (key == value)}>{escape(words)}</option>'
         for key, words in options.items()
     )
 
@@ -166,7 +165,7 @@ class Progress:
             copy = ui.button("Copy the command").props("flat no-caps")
             copy.on("click", js_handler=COPIES)
 
-    def read(self, call: Call | None, title: str, doing: str, runs: bool) -> bool:
+    def read(self, call: Call | None, title: str = "", doing: str = "", runs: bool = False) -> bool:
         """Show how it is; whether a call has begun, or ended, since.
 
         Args:

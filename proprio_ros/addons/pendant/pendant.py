@@ -64,10 +64,7 @@ class Pendant:
         except ConfigurationError as error:
             self.no_ros = str(error)
             return
-        self._listener = listening.Listener(
-            self.news,
-            self.namespace,
-        )
+        self._listener = listening.Listener(self.news, self.namespace)
 
     async def close(self) -> None:
         """End what is under way, and have the arm held."""
@@ -147,10 +144,7 @@ class Pendant:
     async def put_back(self, values: Mapping[str, Any]) -> None:
         """State parameters as they were before a call that is over."""
         if self._listener is not None:
-            refused = await asyncio.to_thread(
-                self._listener.state,
-                values,
-            )
+            refused = await asyncio.to_thread(self._listener.state, values)
             if refused:
                 self.tell(f"{', '.join(values)} could not be put back: {refused}")
 
@@ -164,10 +158,7 @@ class Pendant:
         why = self.may(page)
         if why or self._listener is None:
             return why
-        return await asyncio.to_thread(
-            self._listener.state,
-            values,
-        )
+        return await asyncio.to_thread(self._listener.state, values)
 
 
 @cache

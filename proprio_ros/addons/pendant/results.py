@@ -165,7 +165,8 @@ def _batch(found: Mapping[str, Any]) -> str:
         f"{count} {escape(name.replace('_', ' '))}"
         for name, count in found.get("verdicts", {}).items()
     )
-    head = f'<p class="state">{found.get("episodes", 0)} recordings: {counts}</p>'
+    episodes = found.get("episodes", 0)
+    head = f'<p class="state">{episodes} recording{"s" * (episodes != 1)}: {counts}</p>'
     names = [
         "episode",
         "unit",

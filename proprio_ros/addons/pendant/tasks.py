@@ -21,12 +21,18 @@ POINTS = 24
 Places = list[list[float]]
 """Of the hand in the frame of the root link [m], shape (N, 3)."""
 CALIBRATE = "calibrate_robot"
-UNTIL = {
-    "calibrate_payload": "payload_until",
-    "calibrate_container": "container_until",
-    "calibrate_softness": "block_until",
+ELBOW = "the elbow alone, which is sooner"
+SURE = "chosen ones, until it is known well enough"
+PUSHES = {
+    CALIBRATE: {
+        "empty_hand_elbow": ELBOW,
+        "empty_hand_until": "and chosen ones for a minute more",
+    },
+    "calibrate_payload": {"payload_elbow": ELBOW, "payload_until": SURE},
+    "calibrate_container": {"container_until": SURE},
+    "calibrate_softness": {"block_until": SURE},
 }
-"""Sequences whose pushes are chosen until the answer is narrow enough, by the service that makes them."""
+"""Other sequences than the one that the identifier is set to, by the service that makes them."""
 LACKS = {
     "nominal_torque_constant_N_m_per_A": (
         "torque constant [N m/A]",
@@ -102,9 +108,9 @@ class Task:
         return FACTS.get(self.service, ())
 
     @property
-    def until(self) -> str:
-        """The sequence that goes on until sure; empty: there is none."""
-        return UNTIL.get(self.service, "")
+    def pushes(self) -> Mapping[str, str]:
+        """Sequences that can be chosen, with what they are in words."""
+        return PUSHES.get(self.service, {})
 
 
 def tasks() -> list[Task]:

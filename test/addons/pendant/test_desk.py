@@ -89,7 +89,7 @@ def test_a_look_is_what_check_says(desk: Desk) -> None:
 def test_an_answer_is_what_replay_says_and_is_kept(desk: Desk) -> None:
     job = ended(desk, "begin_answer")
     (step,) = job.steps
-    (found,) = kept(desk.places, desk.places.data)
+    (found,) = kept(desk.places)
     again = typed(job.command)
     for key in ("verdict", "estimates", "reasons", "reason_codes"):
         assert step.answer[key] == again[key] == found.estimate[key]
@@ -114,7 +114,7 @@ def test_empty_hands_calibrate_first(desk: Desk) -> None:
     assert asked.answer["estimates"] == again["estimates"]
     low, high = again["estimates"][0]["ci95"]  # type: ignore[index]
     assert low < 0.023 < high
-    (found,) = kept(desk.places, desk.places.data)
+    (found,) = kept(desk.places)
     assert found.calibration is not None
     assert calibrations(desk.places) == [found.calibration]
     assert set(terms(found.calibration)) > {"joint2", "joint3"}
@@ -197,5 +197,5 @@ def test_a_batch_has_a_row_a_recording(desk: Desk) -> None:
     shown = answered(step)
     assert shown.count("<tr>") == 1 + 3, shown
     assert CUBE in shown
-    (found,) = kept(desk.places, desk.places.data)
+    (found,) = kept(desk.places)
     assert found.report == step.report

@@ -28,7 +28,7 @@ TABLE = b"time_s,joint1.pos,joint2.pos\n" + b"".join(
     b"%.2f,0.%d,0.2\n" % (0.01 * row, row) for row in range(300)
 )
 LEAVES_ALL = "document.querySelectorAll('.chosen .head button').forEach((it) => it.click())"
-NUMBERS = "[...document.querySelectorAll('main input[type=number]')].map((it) => it.ariaLabel)"
+NUMBERS = "[...document.querySelectorAll('.page input[type=number]')].map((it) => it.ariaLabel)"
 
 
 @pytest.fixture(scope="module")
@@ -201,7 +201,7 @@ def test_a_urdf_is_asked_for_what_it_lacks(
     tab.shows("nominal_torque_constant")
     file = home / ".ros/proprio_ros/robots/my_arm.yaml"
     for number, _ in enumerate(boxes := tab.does(NUMBERS)):
-        tab.does(f"document.querySelectorAll('main input[type=number]')[{number}].focus()")
+        tab.does(f"document.querySelectorAll('.page input[type=number]')[{number}].focus()")
         tab.call("Input.insertText", text=f"{0.25 + number}")
     assert boxes
     tab.click("Write the robot file")
@@ -218,9 +218,9 @@ def test_names_for_a_screen_reader(shown: Shown, window: Browser) -> None:
     tab.open(shown.address)
     for page in ("Wizard", "Recordings", "History"):
         tab.click(page)
-        tab.until("document.querySelectorAll('main button, main select').length > 0")
+        tab.until("document.querySelectorAll('.page button, .page select').length > 0")
         nameless = (
-            "[...document.querySelectorAll('main button, main a, main select, main input')].filter((it) => "
+            "[...document.querySelectorAll('.page button, .page a, .page select, .page input')].filter((it) => "
             "!(it.getAttribute('aria-label') || it.innerText.trim())).map((it) => it.outerHTML)"
         )
         assert tab.does(nameless) == [], page

@@ -85,14 +85,14 @@ def _show_curve(curve: ui.echart, news: News) -> None:
     now_s = news.now()
     points = news.points
     curve.set_visibility(bool(points))
-    lows = []
-    widths = []
-    masses = []
-    for point in points:
-        x = round(point.at_s - now_s, 2)
-        lows.append([x, round(GRAMS * point.low_kg, 3)])
-        widths.append([x, round(GRAMS * (point.high_kg - point.low_kg), 3)])
-        masses.append([x, round(GRAMS * point.mass_kg, 3)])
+    times_s = [round(point.at_s - now_s, 2) for point in points]
+    series = []
+    for masses in (
+        [point.low_kg for point in points],
+        [point.high_kg - point.low_kg for point in points],
+        [point.mass_kg for point in points],
+    ):
+        grams = [round(GRAMS * mass, 3) for mass in masses]
+        series.append({"data": list(zip(times_s, grams, strict=True))})
     if points:
-        series = [{"data": data} for data in (lows, widths, masses)]
         curve.run_chart_method("setOption", {"series": series})

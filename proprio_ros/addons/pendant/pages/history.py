@@ -31,7 +31,7 @@ async def show(pendant: Pendant) -> None:
     """Fill the page."""
     desk = await pendant.at_desk()
     with ui.element("div").classes("steps history"):
-        await _fill(desk, await run.io_bound(kept, desk.places, desk.places.data) or [])
+        await _fill(desk, await run.io_bound(kept, desk.places) or [])
 
 
 async def _fill(desk: Desk, found: Sequence[Kept]) -> None:
@@ -148,17 +148,14 @@ def _apart(one: dict[str, Any], other: dict[str, Any]) -> str:
 
 async def _drift(calibrated: Sequence[Kept]) -> None:
     """Dry friction of each joint by its calibrations."""
-    found = [await run.io_bound(terms, each.calibration) or {} for each in calibrated]
-    names = sorted({joint for each in found for joint in each})
-    days = [f"{each.when:%Y-%m-%d %H:%M}" for each in calibrated]
-    rows = [
-        [day, *(_within(each.get(joint)) for joint in names)]
-        for day, each in zip(days, found, strict=True)
-    ]
+    days = {
+        f"{each.when:%Y-%m-%d %H:%M:%S}": await run.io_bound(terms, each.calibration) or {}
+        for each in calibrated
+    }
+    names = sorted({joint for each in days.values() for joint in each})
+    rows = [[day, *(_within(each.get(joint)) for joint in names)] for day, each in days.items()]
     curves = {
-        joint: [
-            [day, each[joint][0]] for day, each in zip(days, found, strict=True) if joint in each
-        ]
+        joint: [[day, each[joint][0]] for day, each in days.items() if joint in each]
         for joint in names
     }
     with card("How the arm drifts"):

@@ -33,6 +33,7 @@ from proprio_ros.errors import ProprioError
 from proprio_ros.inputs.resources import resource_names
 from proprio_ros.probes import all_probes
 
+UNITS = ("N.m", "A", "mA", "raw")
 SHOWS = (
     "setTimeout(() => document.querySelector('.progress').scrollIntoView({block: 'center'}), 700)"
 )
@@ -230,26 +231,10 @@ async def _ask(pendant: Pendant, place: ui.element) -> None:
                 (
                     "Unit of effort",
                     "effort_unit",
-                    {
-                        "": "by the driver",
-                        **{
-                            u: u
-                            for u in (
-                                "N.m",
-                                "A",
-                                "mA",
-                                "raw",
-                            )
-                        },
-                    },
+                    {"": "by the driver", **{unit: unit for unit in UNITS}},
                 ),
             ):
-                select(
-                    label,
-                    options,
-                    getattr(asked, key),
-                    partial(_state, desk, key),
-                )
+                select(label, options, getattr(asked, key), partial(_state, desk, key))
         facts = ui.input("Facts about the object", value=asked.facts)
         facts.props(
             'outlined dense hint="KEY=VALUE, such as payload.shape=sphere payload.com=[0,0,0.01]"'
@@ -297,12 +282,7 @@ class _Outcome:
         self._cancel.set_visibility(runs)
         title = job.service if job is not None else ""
         doing = "is being cancelled" if job is not None and job.cancelled else "at work"
-        changed = self._progress.read(
-            job,
-            title,
-            doing,
-            runs,
-        )
+        changed = self._progress.read(job, title, doing, runs)
         if job is not None and changed and not runs:
             with self._progress.answer:
                 self._show(job)

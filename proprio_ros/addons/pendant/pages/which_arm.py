@@ -33,10 +33,14 @@ class WhichArm:
 
     async def show(self) -> None:
         """Fill the place."""
-        found = await self._pendant.robot()
         self._place.clear()
         with self._place:
             heading("Which arm", 1)
+            inner = ui.element("div").classes("steps")
+        found = await self._pendant.robot()
+        if inner.is_deleted:
+            return  # something else was clicked meanwhile
+        with inner:
             name = found.name if found else "an arm that no node names"
             ui.label(f"The nodes work with {name}.").classes("hand-words")
             ready = {"": "choose ...", **self._pendant.desk.robots()}

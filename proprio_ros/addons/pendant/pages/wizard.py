@@ -12,7 +12,15 @@ from nicegui import Client, ui
 from proprio_ros.addons.pendant.drawing import GREY, ORANGE, Drawing
 from proprio_ros.addons.pendant.news import curve_of
 from proprio_ros.addons.pendant.pages.which_arm import WhichArm
-from proprio_ros.addons.pendant.parts import READS_S, Progress, card, draw, heading, refuse
+from proprio_ros.addons.pendant.parts import (
+    READS_S,
+    Progress,
+    card,
+    draw,
+    heading,
+    refuse,
+    select,
+)
 from proprio_ros.addons.pendant.pendant import Pendant
 from proprio_ros.addons.pendant.results import answer, figures_of, report_of
 from proprio_ros.addons.pendant.tasks import (
@@ -36,10 +44,7 @@ def show(pendant: Pendant) -> None:
         choices = ui.element("nav").classes("tasks").props('aria-label="What to do"')
         with ui.element("div").classes("steps"):
             asked = card("Task")
-            _Progress(
-                pendant,
-                {task.service: task.title for task in found},
-            )
+            _Progress(pendant, {task.service: task.title for task in found})
     forms = _Forms(pendant, asked, ui.context.client)
     with choices:
         arm = WhichArm(pendant, asked)
@@ -58,13 +63,13 @@ class _Forms:
         self._place = place
         self._client = client
         self._texts: dict[str, ui.input] = {}
-        self._until: ui.switch | None = None
+        self._pushes = ""  # a sequence; empty: as the identifier is set
         self._reference: ui.number | None = None
 
     def show(self, task: Task) -> None:
         """Ask for what this task needs."""
         self._texts = {}
-        self._until = None
+        self._pushes = ""
         self._reference = None
         self._place.clear()
         with self._place:
@@ -79,10 +84,14 @@ class _Forms:
                 where = "from scales; put it in when the arm asks for it; empty: none"
                 self._reference = ui.number("Weighed reference [g]", min=0.0, max=5000.0)
                 self._reference.props(f'hint="{where}" outlined')
-            if task.until:
-                self._until = ui.switch("Go on until it is known well enough")
+            if task.pushes:
+                choices = {"": "as the identifier is set", **task.pushes}
+                select("Pushes", choices, "", self._choose)
             start = ui.button("Start", on_click=partial(self._ask, task)).props("no-caps size=lg")
             start.set_enabled(not self._pendant.read_only)
+
+    def _choose(self, name: str) -> None:
+        self._pushes = name
 
     async def _ask(self, task: Task) -> None:
         """Say what will move, and begin when that is confirmed."""
@@ -118,12 +127,7 @@ class _Forms:
         """The arm as it stands, and where its hand will go."""
         pose = dict(self._pendant.news.positions)
         try:
-            between, pushed = await asyncio.to_thread(
-                ways_of,
-                sequences,
-                robot,
-                pose,
-            )
+            between, pushed = await asyncio.to_thread(ways_of, sequences, robot, pose)
         except ProprioError as error:
             ui.label(f"Its ways cannot be drawn: {error}")
             return
@@ -140,12 +144,17 @@ class _Forms:
         if names is None:
             raise ConfigurationError("the identifier does not answer; start it: proprio live")
         sequences = [str(names[parameter]) for parameter in task.parameters]
-        if self._until is not None and self._until.value:
-            sequences = [task.until]
+        if self._pushes:
+            sequences = self._chosen(task)
         weighs = self._stated_reference(float(names["reference_mass"]))
         if task.service == CALIBRATE and not weighs:
             del sequences[1:]
         return sequences
+
+    def _chosen(self, task: Task) -> list[str]:
+        """A sequence for each parameter: the reference is pushed as the empty hand is."""
+        reference = self._pushes.replace("empty_hand", "reference")
+        return [self._pushes, reference][: len(task.parameters)]
 
     def _stated_reference(self, otherwise_kg: float) -> float:
         """Mass of the reference [kg]; what the identifier has where nothing is typed."""
@@ -159,9 +168,9 @@ class _Forms:
         if self._reference is not None and self._reference.value is not None:
             stated["reference_mass"] = self._stated_reference(0.0)
         before: dict[str, object] = {}
-        if self._until is not None and self._until.value:
+        if self._pushes:
             before = await self._pendant.parameters(*task.parameters) or {}
-            stated |= dict.fromkeys(task.parameters, task.until)
+            stated |= dict(zip(task.parameters, self._chosen(task), strict=True))
         try:
             why = await self._pendant.state(page, stated) if stated else ""
             if why:
@@ -190,12 +199,7 @@ class _Progress:
     async def _read(self) -> None:
         call = self._pendant.calls.latest
         if call is None:
-            self._progress.read(
-                None,
-                "",
-                "",
-                False,
-            )
+            self._progress.read(None)
             return
         runs = call.progress
         number, of = runs or (0, 0)
@@ -203,12 +207,7 @@ class _Progress:
         if call.cancelled:
             doing = "stopping; the arm is held"
         title = self._titles.get(call.service, call.service)
-        changed = self._progress.read(
-            call,
-            title,
-            doing,
-            call.under_way,
-        )
+        changed = self._progress.read(call, title, doing, call.under_way)
         self._progress.bar.set_value((number - 0.5) / of if of else 0.0)
         self._draw()
         if changed:
