@@ -415,8 +415,8 @@ def main() -> None:
     }
     results.table("first", {**since, "load": "{load:.0f}"})
     figures = {"": "{what}", "of a core": "{core:.1%}", "memory": "{mb:.0f} MB"}
-    asked = {"what is wrong": "{kind}", "requests": "{sent}", "refused": "{refused}"}
-    results.table("hostile", {**asked, "called or stopped something": "{moved}"})
+    asked = {"wrong": "{kind}", "requests": "{sent}", "refused": "{refused}"}
+    results.table("hostile", {**asked, "moved the arm": "{moved}"})
     results.table("idle", {**figures, "frames per second": "{fps:.0f}", "load": "{load:.0f}"})
     counts = {"pages opened": "{pages}", "services called": "{calls}", "memory": "{mb:.0f} MB"}
     more = {"files": "{files}", "tasks": "{tasks}", "clients": "{clients}", "threads": "{threads}"}

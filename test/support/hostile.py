@@ -36,7 +36,7 @@ BYTES = (
     *(b"POST /stop HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Length: x\r\n\r\n", b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n"),
 )  # fmt: skip
 
-CUT_OFF = ("malformed", "huge header")
+CUT_OFF = ("malformed", "huge")
 """What the server may hang up on."""
 EARLIER = "q5pY1Zk3mD0aT7vQe2sWcX9uRb6LhN4G"
 """As a pendant has it that was started before, and as long."""
@@ -87,17 +87,17 @@ def without_token(host: str, shown: Shown) -> Iterator[Hostile]:
         headers = {"Host": host, "Origin": shown.base, "Cookie": f"proprio_pendant={cookie}"}
         yield Hostile("wrong token", request(method, path, headers))
     for given, path in itertools.product(wrong[:4], PATHS):
-        yield Hostile("wrong token shown", request("GET", f"{path}?token={given}", {"Host": host}))
+        yield Hostile("wrong token", request("GET", f"{path}?token={given}", {"Host": host}))
     for path in PATHS:
         asked = request("POST", f"{path}?token={token}", {"Host": host, "Origin": shown.base})
-        yield Hostile("token shown to change something", asked)
+        yield Hostile("token in the address", asked)
     for cookie in wrong:
         headers = {"Host": host, "Origin": shown.base, "Cookie": f"proprio_pendant={cookie}"}
-        yield Hostile("socket, wrong token", request("GET", SOCKET, {**headers, **UPGRADE}))
+        yield Hostile("wrong token", request("GET", SOCKET, {**headers, **UPGRADE}))
     shown_token = request(
         "GET", f"{SOCKET}&token={token}", {"Host": host, "Origin": shown.base, **UPGRADE}
     )
-    yield Hostile("socket, token shown", shown_token)
+    yield Hostile("token in the address", shown_token)
 
 
 def replayed(host: str, shown: Shown) -> Iterator[Hostile]:
@@ -116,13 +116,13 @@ def from_elsewhere(good: dict[str, str]) -> Iterator[Hostile]:
             yield Hostile("other origin", request(method, path, {**good, "Origin": origin}))
     for origin in ORIGINS:
         asked = request("GET", SOCKET, {**good, "Origin": origin, **UPGRADE})
-        yield Hostile("socket, other origin", asked)
+        yield Hostile("other origin", asked)
     silent = {name: value for name, value in good.items() if name != "Origin"}
     for path in PATHS:
-        yield Hostile("no origin", request("POST", path, silent))
+        yield Hostile("no origin, or two", request("POST", path, silent))
         twice = (("Origin", "http://evil.example"),)
-        yield Hostile("two origins", request("POST", path, good, twice))
-    yield Hostile("socket, no origin", request("GET", SOCKET, {**silent, **UPGRADE}))
+        yield Hostile("no origin, or two", request("POST", path, good, twice))
+    yield Hostile("no origin, or two", request("GET", SOCKET, {**silent, **UPGRADE}))
 
 
 def to_another_name(good: dict[str, str], host: str) -> Iterator[Hostile]:
@@ -132,18 +132,18 @@ def to_another_name(good: dict[str, str], host: str) -> Iterator[Hostile]:
         yield Hostile("other host", request("POST", path, as_theirs))
     for name in HOSTS:
         as_theirs = {**good, "Host": name, "Origin": f"http://{name}", **UPGRADE}
-        yield Hostile("socket, other host", request("GET", SOCKET, as_theirs))
+        yield Hostile("other host", request("GET", SOCKET, as_theirs))
     for path in PATHS:
         twice = (("Host", "evil.example"),)
-        yield Hostile("two hosts", request("GET", path, good, twice))
+        yield Hostile("other host", request("GET", path, good, twice))
 
 
 def otherwise_wrong(good: dict[str, str]) -> Iterator[Hostile]:
     for method, path in itertools.product(METHODS, PATHS):
         yield Hostile("method", request(method, path, good))
     for path in PATHS:
-        yield Hostile("huge address", request("GET", f"{path}?{'x' * 5000}", good))
-        yield Hostile("huge header", request("GET", path, {**good, "X": "y" * 200_000}))
+        yield Hostile("huge", request("GET", f"{path}?{'x' * 5000}", good))
+        yield Hostile("huge", request("GET", path, {**good, "X": "y" * 200_000}))
     for sent in BYTES:
         yield Hostile("malformed", sent)
     for path in (
