@@ -316,6 +316,8 @@ def _of_nodes_and_users() -> list[Question]:
     untrue = kept("schedules")["tables"]["kinds"]["rows"][-1]["faults"]
     fit = _speed_row("ours", "ours: five-start fit")
     fresh = _speed_row("fresh", "proprio replay --json")
+    hostile = numbers("hostile", "hostile", wrong="all")
+    idle, *_ = kept("pendant")["tables"]["idle"]["rows"]
     return [
         (
             "What becomes of a user's mistake?",
@@ -335,6 +337,12 @@ def _of_nodes_and_users() -> list[Question]:
             f"{plans['schedules']} schedules of faults on the nodes, the vendor's library and emulated servos",
             f"{untrue} found something untrue, and it was mended",
             "faults",
+        ),
+        (
+            "What does the pendant cost, and whom does it let in?",
+            f"{hostile['sent']} hostile requests; joint states at 100 Hz",
+            f"{hostile['refused']} refused, {hostile['moved']} moved the arm; {idle['core']:.1%} of a core, {idle['mb']:.0f} MB",
+            "pendant",
         ),
         (
             "How fast is it?",

@@ -1,4 +1,4 @@
-"""Draws docs/pages/pendant_arm.png: `PYTHONPATH=test python docs/pendant_picture.py [CALIBRATED]`.
+"""Draws docs/pages/pendant_arm.png and pendant_arm_dark.png: `PYTHONPATH=test python docs/pendant_picture.py [CALIBRATED]`.
 
 It needs the extras ros, sim and pendant, and Chromium. A virtual arm is calibrated and weighs 50 g by clicks, two to three minutes;
 CALIBRATED is a home folder in which it was before.
@@ -34,13 +34,15 @@ def draw(shown: Shown, tab: Tab, calibrated: bool) -> None:
     """Weigh, and take the picture."""
     assert wait_for(lambda: "[identifier]: ready" in shown.told, UP_S)
     tab.look(WIDTH_PX, HEIGHT_PX)
-    tab.open(shown.address)
+    tab.open(shown.address.replace("/?", "/wizard?"))
     for title in ["Weigh an object"] if calibrated else ["Calibrate the arm", "Weigh an object"]:
         does(tab, title)
     tab.click("Arm")
     tab.until("!!document.querySelector('.scene canvas')")
-    wait_for(lambda: False, DRAWN_S)
-    tab.picture(PAGES / "pendant_arm.png")
+    for name in ("pendant_arm", "pendant_arm_dark"):
+        tab.look(WIDTH_PX, HEIGHT_PX, "dark" in name)
+        wait_for(lambda: False, DRAWN_S)
+        tab.picture(PAGES / f"{name}.png")
 
 
 def main() -> None:

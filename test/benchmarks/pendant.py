@@ -394,7 +394,7 @@ def refused(results: Results, folder: Path) -> None:
             asked, passed, moved = (each.total() for each in counts)
         else:
             asked, passed, moved = (each[kind] for each in counts)
-        results.row("hostile", kind=kind, sent=asked, refused=asked - passed, moved=moved)
+        results.row("hostile", wrong=kind, sent=asked, refused=asked - passed, moved=moved)
 
 
 def main() -> None:
@@ -415,7 +415,7 @@ def main() -> None:
     }
     results.table("first", {**since, "load": "{load:.0f}"})
     figures = {"": "{what}", "of a core": "{core:.1%}", "memory": "{mb:.0f} MB"}
-    asked = {"wrong": "{kind}", "requests": "{sent}", "refused": "{refused}"}
+    asked = {"wrong": "{wrong}", "requests": "{sent}", "refused": "{refused}"}
     results.table("hostile", {**asked, "moved the arm": "{moved}"})
     results.table("idle", {**figures, "frames per second": "{fps:.0f}", "load": "{load:.0f}"})
     counts = {"pages opened": "{pages}", "services called": "{calls}", "memory": "{mb:.0f} MB"}
