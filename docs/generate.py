@@ -6,8 +6,8 @@ of the nodes and from the calls in ``configure`` that make publishers, subscript
 from the forms of settings, robot files and calibrations, and from the limits of what is read, ``pages/refusals.md`` from the
 codes of reasons, ``pages/conformance.md`` from the table of ``test/conformance``. None needs ROS: where
 rclpy is missing, empty classes stand in for what the nodes import from it, so that the pages are the same everywhere.
-Tables of figures in README, ``pages/validation.md``, ``pages/validation`` and ``results/pendant.md`` come from ``results``
-(`figures`), and so does ``results/efficiency.md``.
+Tables of figures in README, ``pages/validation.md`` and ``pages/validation`` come from ``results`` (`figures`), and so does
+``results/efficiency.md``.
 """
 
 from __future__ import annotations
@@ -389,8 +389,7 @@ def pages() -> dict[Path, str]:
 
 def measured() -> dict[Path, str]:
     """Every page with figures of benchmarks, with what should be in it."""
-    beside = figures.RESULTS / "pendant.md"
-    found = (PAGES.parents[1] / "README.md", beside, *sorted(PAGES.rglob("*.md")))
+    found = (PAGES.parents[1] / "README.md", *sorted(PAGES.rglob("*.md")))
     texts = {path: path.read_text(encoding="utf-8") for path in found}
     filled = {
         path: figures.filled(text) for path, text in texts.items() if figures.BLOCK.search(text)

@@ -48,10 +48,8 @@ ELBOW = "the elbow alone"
 CLICKED = (
     ("Calibrate the arm", ELBOW),
     ("Weigh an object", ELBOW),
-    ("Calibrate the arm", ""),
-    ("Weigh an object", ""),
 )
-"""What the first weighing takes, and one with all joints."""
+"""What the first weighing takes."""
 HOUR_STATES = 3600 * 20
 """As the pendant takes the newest twenty times a second."""
 ALL = "all"
@@ -397,6 +395,32 @@ def refused(results: Results, folder: Path) -> None:
         results.row("hostile", wrong=kind, sent=asked, refused=asked - passed, moved=moved)
 
 
+def begin_tables(results: Results) -> None:
+    """One a part."""
+    since = {
+        "takes": "{wall_s:.0f} s",
+        "of processors": "{core_s:.0f} s",
+        "since the first command": "{since_s:.0f} s",
+        "the page shows": "{answer}",
+    }
+    what = {"": "{what}"}
+    loaded = {"load": "{load:.0f}"}
+    results.table("first", {**what, **since, **loaded})
+    asked = {"wrong": "{wrong}", "requests": "{sent}", "refused": "{refused}"}
+    results.table("hostile", {**asked, "moved the arm": "{moved}"})
+    memory = {"memory": "{mb:.0f} MB"}
+    core = {"of a core": "{core:.1%}"}
+    results.table("idle", {**what, **core, **memory, "frames per second": "{fps:.0f}", **loaded})
+    opened_pages = {"pages opened": "{pages}"}
+    more = {"files": "{files}", "tasks": "{tasks}", "threads": "{threads}"}
+    called = {"services called": "{calls}"}
+    clients = {"clients": "{clients}"}
+    results.table("use", {**what, **opened_pages, **called, **memory, **more, **clients})
+    came = {"joint states taken": "{states:,}", "pictures": "{drawn:,}"}
+    page = {"the page keeps": "{heap_mb:.1f} MB", "in nodes": "{nodes}"}
+    results.table("heard", {**what, **came, **opened_pages, **memory, **more, **page, **loaded})
+
+
 def main() -> None:
     parser = parser_of(__doc__)
     parser.add_argument("--no-install", action="store_true", help="begin with what is installed")
@@ -406,48 +430,27 @@ def main() -> None:
     given = parser.parse_args()
     os.environ["ROS_DOMAIN_ID"] = free_domain()
     results = Results(__file__, given.json)
-    since = {
-        "": "{what}",
-        "takes": "{wall_s:.0f} s",
-        "of processors": "{core_s:.0f} s",
-        "since the first command": "{since_s:.0f} s",
-        "the page shows": "{answer}",
-    }
-    results.table("first", {**since, "load": "{load:.0f}"})
-    figures = {"": "{what}", "of a core": "{core:.1%}", "memory": "{mb:.0f} MB"}
-    asked = {"wrong": "{wrong}", "requests": "{sent}", "refused": "{refused}"}
-    results.table("hostile", {**asked, "moved the arm": "{moved}"})
-    results.table("idle", {**figures, "frames per second": "{fps:.0f}", "load": "{load:.0f}"})
-    counts = {"pages opened": "{pages}", "services called": "{calls}", "memory": "{mb:.0f} MB"}
-    more = {"files": "{files}", "tasks": "{tasks}", "clients": "{clients}", "threads": "{threads}"}
-    results.table("use", {"": "{what}", **counts, **more})
-    came = {"joint states taken": "{states:,}", "pictures": "{drawn:,}", "pages opened": "{pages}"}
-    page = {"the page keeps": "{heap_mb:.1f} MB", "in nodes": "{nodes}", "load": "{load:.0f}"}
-    now = {key: more[key] for key in ("files", "tasks", "threads")}
-    now = {"memory": counts["memory"], **now}
-    results.table("heard", {"": "{what}", **came, **now, **page})
+    begin_tables(results)
     with tempfile.TemporaryDirectory() as place, browser(Path(place)) as window:
         folder = Path(place)
+        told = folder / "counts.txt"
+        around = {"HOME": place, "PYTHONPATH": os.pathsep.join([str(TESTS), str(REPOSITORY)])}
         if "first" in given.parts:
             first_weighing(results, window, folder, not given.no_install)
         if "hostile" in given.parts:
             refused(results, folder)
-        told = folder / "counts.txt"
-        around = {"HOME": place, "PYTHONPATH": os.pathsep.join([str(TESTS), str(REPOSITORY)])}
         if "heard" in given.parts:
             fast = (*PROGRAM, str(told), str(SPEED))
             with pendant(folder, program=fast, **around) as shown:
                 heard(results, shown, window, told, given.hours)
-        if not {"idle", "use"} & set(given.parts):
-            results.keep()
-            return
-        program = (*PROGRAM, str(told), "1")
-        with pendant(folder, "--virtual", program=program, **around) as shown:
-            assert wait_for(lambda: "[identifier]: ready" in shown.told, LONG_S), shown.told
-            if "idle" in given.parts:
-                idle(results, shown, window, given.idle)
-            if "use" in given.parts:
-                used(results, shown, window, told, given.hours)
+        if {"idle", "use"} & set(given.parts):
+            program = (*PROGRAM, str(told), "1")
+            with pendant(folder, "--virtual", program=program, **around) as shown:
+                assert wait_for(lambda: "[identifier]: ready" in shown.told, LONG_S), shown.told
+                if "idle" in given.parts:
+                    idle(results, shown, window, given.idle)
+                if "use" in given.parts:
+                    used(results, shown, window, told, given.hours)
     results.keep()
 
 
