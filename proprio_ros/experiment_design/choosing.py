@@ -113,6 +113,8 @@ class Chooser(ABC):
     The sequence's settings of ways, rest and brake count for every push. Raises `ConfigurationError`: It has no `until`.
     """
 
+    # a push that narrows the interval by less than this share of it is not made, however little is missing
+    least_share = 0.0
     # where `ranked` has none
     no_push = "no push of any joint stays inside the limits with what the hand may hold"
 
@@ -253,8 +255,12 @@ class Chooser(ABC):
             reason = f"{over}: {said(self.half)} after {count}, {asked}"
             return self._end("time", reason, _varied(ranked))
         best = self._half(min(push.std for push in in_time))
-        if self._found.runs > 0 and self.half - best < WORTH * (self.half - target):
+        narrows = self.half - best
+        missing = self.half - target
+        if self._found.runs > 0 and narrows < max(WORTH * missing, self.least_share * self.half):
             little = "no push promises more than a tenth of what is missing"
+            if narrows >= WORTH * missing:
+                little = f"no push narrows it by {100.0 * self.least_share:g} %"
             so_far = f"{said(self.half)} after {count} and {elapsed_s:.0f} s"
             reason = f"{little}: {so_far}, {said(best)} after the best, {asked}"
             return self._end("worth", reason, _varied(ranked))

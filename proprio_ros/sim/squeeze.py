@@ -3,12 +3,14 @@
 The joint of ``joint.py`` with the block as a load that depends on its position, as docs/pages/how_it_works.md writes it down:
 
     s = (c(q) - gap) / L                                      squeeze relative to the block's length
-    P = A (E phi(s, nu) + eta ds/dt min(s / s_r, 1))          where s > 0, and never below 0: a block that is let go does not pull
+    P = A (E phi(s, nu) k + eta ds/dt min(s / s_r, 1))        where s > 0, and never below 0: a block that is let go does not pull
+    k = 1 - loss (1 - tanh(v / v_f)) / 2                      v > 0 closes: what it gives back is less than what it took
 
 ``c`` is how far the fingers have closed on each other: ``travel`` times the joint's coordinate, twice the ratio of one finger;
 with ``bend``, where it was measured that a gripper's linkage does not close evenly. E and nu are those at small strain, whatever
 the law. ``eta`` is the block's viscosity (Kelvin and Voigt), which sets in over the first ``RAMP`` of squeeze, so that the force
-has no jump where the fingers touch.
+has no jump where the fingers touch. The loss is the hysteresis of foam and rubber, which no speed decides; v_f is ten times
+the speed over which dry friction is smoothed, so that no step has to be shorter for it.
 
 Departures from the paper (Chen et al. 2025, arXiv:2410.03920): its block has inertia of its own and its gripper neither armature
 nor friction. The armature, 15 to 76 kg at the finger, is what decides; that the block is in equilibrium at every instant changes
@@ -42,7 +44,7 @@ from proprio_ros.sim.squeeze_kernels import (
 )
 
 SQUEEZE_INDEX = {name: row for row, name in enumerate(SQUEEZE_PARAMETERS)}
-_SIZES = (1, 4, 8, 18)
+_SIZES = (1, 4, 9, 19)
 
 
 @dataclass(frozen=True)

@@ -7,6 +7,7 @@ import warp as wp
 from proprio_ros.sim.joint_kernels import (
     CARRIED,
     CURRENT,
+    FRICTION_VELOCITY,
     GRAVITY_CONSTANT,
     LOAD,
     LOAD_PER_KG,
@@ -20,13 +21,16 @@ from proprio_ros.sim.response_kernels import VEC4, tabulated
 from proprio_ros.sim.rollout_kernels import Law
 from proprio_ros.sim.runtime import FLOAT, FLOATS
 
-BLOCK_TERMS = ("youngs_modulus", "poissons_ratio", "block_viscosity", "gap")
-"""What a block adds to the parameters of ``joint.py``: Pa, 1, Pa s, m."""
+BLOCK_TERMS = ("youngs_modulus", "poissons_ratio", "block_viscosity", "gap", "block_loss")
+"""What a block adds to the parameters of ``joint.py``: Pa, 1, Pa s, m, 1."""
 SQUEEZE_PARAMETERS = (*PARAMETERS, *BLOCK_TERMS)
-YOUNGS_MODULUS, POISSONS_RATIO, BLOCK_VISCOSITY, GAP = range(
+YOUNGS_MODULUS, POISSONS_RATIO, BLOCK_VISCOSITY, GAP, BLOCK_LOSS = range(
     len(PARAMETERS), len(SQUEEZE_PARAMETERS)
 )
 LENGTH, AREA, TRAVEL, TABLE, BEND_2, BEND_3 = range(6)  # columns of ``SqueezeData.block``
+SLOWER = (
+    10.0  # the speed over which a block turns from squeezed to let go, over that of dry friction
+)
 RAMP = 1e-3  # s_r: relative squeeze over which the viscosity sets in
 
 
@@ -49,7 +53,7 @@ def excitation_of_block(
     data: SqueezeData,
     run: wp.int32,
 ):
-    """Load of the block on the joint, and its derivatives: by q and v, and by E, nu, eta and gap."""
+    """Load of the block on the joint, and its derivatives: by q and v, by E, nu, eta and gap, and by the loss."""
     zero = FLOAT(0.0)
     block = data.block
     length = block[run, LENGTH]
@@ -64,6 +68,7 @@ def excitation_of_block(
     by_q = zero
     by_v = zero
     by_p = VEC4()
+    by_loss = zero
     if s > zero:
         modulus = p[world, YOUNGS_MODULUS]
         eta = p[world, BLOCK_VISCOSITY]
@@ -76,19 +81,27 @@ def excitation_of_block(
         if ramp > FLOAT(1.0):
             ramp = FLOAT(1.0)
             rise = zero
-        push = area * (modulus * phi + eta * rate * ramp)
+        # what is given back while it is let go, over what it took to squeeze it
+        loss = p[world, BLOCK_LOSS]
+        smoothing = FLOAT(SLOWER) * data.constants[run, FRICTION_VELOCITY]
+        side = wp.tanh(wp.sign(travel) * v / smoothing)
+        opening = FLOAT(0.5) * (FLOAT(1.0) - side)
+        kept = FLOAT(1.0) - loss * opening
+        kept_by_v = FLOAT(0.5) * loss * wp.sign(travel) * (FLOAT(1.0) - side * side) / smoothing
+        push = area * (modulus * phi * kept + eta * rate * ramp)
         if push > zero:
             load = travel * push
-            slope = travel * area * (modulus * by_s + eta * rate * rise) / length
+            slope = travel * area * (modulus * by_s * kept + eta * rate * rise) / length
             by_q = slope * travel + bend * (push + travel * area * eta * ramp * v / length)
-            by_v = travel * area * eta * ramp * travel / length
+            by_v = travel * area * (eta * ramp * travel / length + modulus * phi * kept_by_v)
             by_p = VEC4(
-                travel * area * phi,
-                travel * area * modulus * by_nu,
+                travel * area * phi * kept,
+                travel * area * modulus * by_nu * kept,
                 travel * area * rate * ramp,
                 -slope,
             )
-    return load, by_q, by_v, by_p
+            by_loss = -travel * area * modulus * phi * opening
+    return load, by_q, by_v, by_p, by_loss
 
 
 @cache
@@ -109,7 +122,7 @@ def squeeze_law(directions: int, stribeck: bool) -> Law:
         data: SqueezeData,
         r: wp.int32,
     ):
-        load, by_q, by_v, by_p = excitation_of_block(
+        load, by_q, by_v, by_p, by_loss = excitation_of_block(
             y[0],
             y[1],
             p,
@@ -120,6 +133,7 @@ def squeeze_law(directions: int, stribeck: bool) -> Law:
         d_load = by_q * dy[0] + by_v * dy[1]
         d_load = d_load + by_p[0] * dp[w, YOUNGS_MODULUS] + by_p[1] * dp[w, POISSONS_RATIO]
         d_load = d_load + by_p[2] * dp[w, BLOCK_VISCOSITY] + by_p[3] * dp[w, GAP]
+        d_load = d_load + by_loss * dp[w, BLOCK_LOSS]
         load = p[w, GRAVITY_CONSTANT] + (u[LOAD] + p[w, CARRIED] * u[LOAD_PER_KG]) + load
         d_load = dp[w, GRAVITY_CONSTANT] + u[LOAD_PER_KG] * dp[w, CARRIED] + d_load
         a, da = joint_acceleration(

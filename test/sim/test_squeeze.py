@@ -42,6 +42,7 @@ SCALES = {
     "poissons_ratio": 0.3,
     "block_viscosity": 40.0,
     "gap": 0.0005,
+    "block_loss": 0.2,
 }
 
 

@@ -87,7 +87,7 @@ def plain_squeeze_rate(
     data: SqueezeData,
     r: wp.int32,
 ):
-    load, _by_q, _by_v, _by_p = excitation_of_block(
+    load, _by_q, _by_v, _by_p, _by_loss = excitation_of_block(
         q,
         v,
         p,

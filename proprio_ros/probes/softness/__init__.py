@@ -60,6 +60,7 @@ class Softness(
         "secant_stiffness": Kind("N/m", "secant stiffness"),
         LIMIT: Kind("1", "largest squeeze"),
         "block_relaxation": Kind("s", "relaxation time of the block"),
+        "block_loss": Kind("1", "loss of the block"),
         "gap": Kind("m", "closing before the touch", "run"),
     }
     hand = "the block has to be between the fingers"

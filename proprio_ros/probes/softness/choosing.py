@@ -4,19 +4,20 @@ The sequence's own first squeeze says roughly how soft the block is. After each 
 currents up to what the sequence and the motor allow are then simulated at the modulus found, each until its travel ends it. What
 each would take from the variance of the modulus follows from its sensitivities.
 
-Square waves are left out. They promise more, since friction turns round with them; but how a block loses energy when it is squeezed
-fast is not what the law of a squeeze says, and squeezes with waves of half the force were not explained.
+Some let go again: half of the time with the current that squeezes, half with one that only holds the block, twice. Friction turns
+round with the motion, so they tell the part that rises with the load from the torque constant, which no closing can; what a block
+itself loses (`block.loss`) shows at once where it pushes the fingers back against little current.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from proprio_ros.errors import ConfigurationError
-from proprio_ros.excitation.plans import ExcitationRun, ExcitationSequence
+from proprio_ros.excitation.plans import LEAST_SHAKES, ExcitationRun, ExcitationSequence
 from proprio_ros.experiment_design.candidates import Push, best_first, still_run
 from proprio_ros.experiment_design.choosing import Chooser, Found, alone, time_of
 from proprio_ros.experiment_design.forecast import Forecast, gain_per_s, until_broken, whitened
@@ -35,10 +36,42 @@ from proprio_ros.robot.kinematics import zero_pose
 
 CURRENTS = 10
 DURATIONS_S = (0.6, 1.0)
+PRESSED_S = (0.25, 0.4)
+"""For how long a squeeze that lets go again presses, before it lets go for as long."""
+HOLDING_A = 0.012
+"""What holds a block that is let go [A]: no block falls, and no recording is cut."""
+LETS_GO = (0.2, 0.75)
+"""Which share of the farthest travel the fingers have made when a squeeze lets go."""
 LEAST_BEYOND = 1.2  # the smallest current, over what friction takes of it
 UNKNOWN_SHARE = 3.0
 """How far off a modulus may be that no squeeze has told, as a share of it: so that the variance is finite."""
 RAISE_BY = 1.4
+
+
+@dataclass(frozen=True)
+class _Squeeze:
+    """A current that could be tried; with ``shake_A`` it lets go again, as an `ExcitationRun` says."""
+
+    current_A: float
+    shake_A: float
+    period_s: float
+    durations_s: tuple[float, ...]  # for each of which it may be on; the least at first
+
+    @property
+    def least_s(self) -> float:
+        """The shortest of the durations."""
+        return self.durations_s[0]
+
+    def given(self) -> dict[str, np.ndarray]:
+        """Instants and currents of the input of its run."""
+        if self.shake_A == 0.0:
+            return {"input_times_s": np.zeros(1), "input_current_A": np.array([self.current_A])}
+        times_s = np.arange(2 * LEAST_SHAKES) * 0.5 * self.period_s
+        waves = 1.0 - 2.0 * (np.arange(len(times_s)) % 2)
+        return {
+            "input_times_s": times_s,
+            "input_current_A": self.current_A + self.shake_A * waves,
+        }
 
 
 class SqueezesUntilSure(Chooser):
@@ -47,6 +80,9 @@ class SqueezesUntilSure(Chooser):
     Raises `ConfigurationError`: The sequence has no `until`, or no run of its own.
     """
 
+    least_share = (
+        0.02  # the torque constant alone leaves +-9.9 %, so the last steps to 10 % are long
+    )
     no_push = "no current moves the fingers far enough inside their limits: is the block between them, and are they free to move?"
 
     def __init__(
@@ -115,20 +151,43 @@ class SqueezesUntilSure(Chooser):
         if self._began is None:
             self._began = float(pose[joint])
         start = {**zero_pose(self.robot), **pose, joint: self._began}
-        currents_A = self._currents()
+        beside_s = float(time_of(self.robot, self._sequence, pose)([start])[0])
+        constant = [_Squeeze(each, 0.0, 0.0, DURATIONS_S) for each in self._currents()]
+        forecast = self._forecast(self._fit, self._runs_of(constant, start))
+        pushes = self._promised(constant, forecast, start, beside_s)
+        letting_go = self._letting_go(constant, forecast)
+        if letting_go:
+            forecast = self._forecast(self._fit, self._runs_of(letting_go, start))
+            pushes += self._promised(letting_go, forecast, start, beside_s)
+        return best_first(pushes, target_std)
+
+    def _runs_of(
+        self, squeezes: Sequence[_Squeeze], start: Mapping[str, float]
+    ) -> list[PreparedRun]:
+        """As long as the longest of them, standing still."""
+        longest_s = max(max(squeeze.durations_s) for squeeze in squeezes)
         still = prepare_run(
             self.robot,
-            still_run(joint, start, currents_A[0], max(DURATIONS_S)),
+            still_run(self._first.joint, start, squeezes[0].current_A, longest_s),
             KnownLoad(),
             past_fast=True,
         )
-        squeezes = [
-            replace(still, run=replace(still.run, input_current_A=np.array([current])))
-            for current in currents_A
-        ]
-        beside_s = float(time_of(self.robot, self._sequence, pose)([start])[0])
-        forecast = self._forecast(self._fit, squeezes)
-        return best_first(self._promised(currents_A, forecast, start, beside_s), target_std)
+        return [replace(still, run=replace(still.run, **squeeze.given())) for squeeze in squeezes]
+
+    def _letting_go(self, constant: Sequence[_Squeeze], forecast: Forecast) -> list[_Squeeze]:
+        """Squeezes that let go once the fingers have come some of their way, and not so far that they run on to its end."""
+        found = []
+        for row, squeeze in enumerate(constant):
+            for pressed_s in PRESSED_S:
+                last = forecast.samples_in(row, pressed_s)
+                travel_m = abs(forecast.travel[row, last - 1]) if last else 0.0
+                if not LETS_GO[0] <= travel_m / self._farthest_m <= LETS_GO[1]:
+                    continue
+                mean_A = 0.5 * (squeeze.current_A + np.copysign(HOLDING_A, squeeze.current_A))
+                period_s = 2.0 * pressed_s
+                durations_s = (LEAST_SHAKES * period_s,)
+                found.append(_Squeeze(mean_A, squeeze.current_A - mean_A, period_s, durations_s))
+        return found
 
     def _currents(self) -> list[float]:
         """What could be squeezed with, from a little beyond friction to the limit [A]."""
@@ -177,7 +236,7 @@ class SqueezesUntilSure(Chooser):
 
     def _promised(
         self,
-        currents_A: Sequence[float],
+        squeezes: Sequence[_Squeeze],
         forecast: Forecast,
         start: dict[str, float],
         beside_s: float,
@@ -186,30 +245,31 @@ class SqueezesUntilSure(Chooser):
         place = self._shared.at["youngs_modulus"]
         now = self._covariance[place, place]
         pushes: list[Push] = []
-        for duration in DURATIONS_S:
-            for c, current in enumerate(currents_A):
+        for c, squeeze in enumerate(squeezes):
+            for duration in squeeze.durations_s:
                 last = forecast.samples_in(c, duration)
                 if last < MIN_USED:
                     continue
                 ends_s = float(forecast.times_s[last - 1])
                 # what its travel ends before is the same push
-                if duration > DURATIONS_S[0] and ends_s <= DURATIONS_S[0]:
+                if duration > squeeze.least_s and ends_s <= squeeze.least_s:
                     continue
                 travel = forecast.farthest(c, last)
                 if abs(travel) < self._first.min_travel:
                     continue
                 std = float(forecast.stds[c, last - 1])
                 seconds = beside_s + ends_s
+                gain = gain_per_s(now, max(std**2, 1e-6 * now), seconds)
                 pushes.append(
                     Push(
                         self._first.joint,
                         start,
-                        current,
-                        0.0,
+                        squeeze.current_A,
+                        squeeze.shake_A,
                         duration,
                         seconds,
                         std,
-                        gain_per_s(now, max(std**2, 1e-6 * now), seconds),
+                        gain,
                         travel,
                     )
                 )
@@ -217,10 +277,18 @@ class SqueezesUntilSure(Chooser):
 
     def run_of(self, push: Push) -> ExcitationRun:
         start = {push.joint: push.start[push.joint]}
-        first = replace(
-            self._first, max_travel=self._farthest_m, max_current_A=self._limit_A, raise_by=RAISE_BY
+        run = replace(
+            self._first,
+            max_travel=self._farthest_m,
+            raise_by=RAISE_BY,
+            current_A=push.current_A,
+            duration_s=push.duration_s,
+            start=start,
         )
-        return replace(first, current_A=push.current_A, duration_s=push.duration_s, start=start)
+        if push.shake_A == 0.0:
+            return replace(run, max_current_A=self._limit_A)
+        period_s = push.duration_s / LEAST_SHAKES
+        return replace(run, max_current_A=None, shake_A=push.shake_A, shake_period_s=period_s)
 
     def sequence_of(self, run: ExcitationRun) -> ExcitationSequence:
         """A sequence of one squeeze, after which the fingers let go."""

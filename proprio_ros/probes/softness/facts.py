@@ -12,7 +12,7 @@ import numpy as np
 from proprio_ros.errors import ConfigurationError
 from proprio_ros.inputs.forms import Choice, Form, Number, Numbers, Perhaps, Text, Whole
 from proprio_ros.inputs.settings import Settings, read
-from proprio_ros.probes.softness.problem import HIGHEST_RATIO, BlockFacts
+from proprio_ros.probes.softness.problem import HIGHEST_LOSS, HIGHEST_RATIO, BlockFacts
 from proprio_ros.quantity import Quantity
 from proprio_ros.sim.energies import LAWS as LAWS_OF_ELASTICITY
 from proprio_ros.sim.mesh import read_mesh
@@ -41,6 +41,8 @@ FORMS: dict[str, Form] = {
     "block.poissons_ratio_std": Number("", "", 0.0, 1.0),
     "block.relaxation_s": Number("viscosity over Young's modulus; fitted, within", "s", 0.0, 100.0),
     "block.relaxation_std_s": Number("", "s", 0.0, 100.0),
+    "block.loss": Number("hysteresis, a share of its force", "", 0.0, HIGHEST_LOSS),
+    "block.loss_std": Number("", "", 0.0, 1.0),
 }
 """What may be stated about a block; `block.size` is one number or three."""
 _SIZE = Number(
@@ -76,7 +78,8 @@ def block_facts(settings: Settings, defaults: Mapping[str, Any]) -> BlockFacts:
         ("gap", "gap_std"),
         ("poissons_ratio", "poissons_ratio_std"),
         ("relaxation_s", "relaxation_std_s"),
+        ("loss", "loss_std"),
     )
-    gap, ratio, relaxation = (Quantity(take(value), take(std)) for value, std in uncertain)
+    gap, ratio, relaxation, loss = (Quantity(take(value), take(std)) for value, std in uncertain)
     guessed = ("block.size",) if mesh is None and "block.size" not in settings.taken else ()
-    return BlockFacts(edges, law, contact, fingers, gap, ratio, relaxation, mesh, guessed)
+    return BlockFacts(edges, law, contact, fingers, gap, ratio, relaxation, loss, mesh, guessed)

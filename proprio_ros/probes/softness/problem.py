@@ -1,8 +1,8 @@
 """A soft block between the fingers as a least-squares problem: what ``problem.py`` has, and a block in some of the runs.
 
 Every run is an empty hand's but for the block, whose force on the fingers ``sim/squeeze.py`` takes from a table. Unknown are its
-Young's modulus, Poisson's ratio and relaxation time (viscosity over modulus), which all runs with it share, and for each of them
-how far the fingers close before they touch it.
+Young's modulus, Poisson's ratio, relaxation time (viscosity over modulus) and loss, which all runs with it share, and for each of
+them how far the fingers close before they touch it.
 """
 
 from __future__ import annotations
@@ -30,6 +30,7 @@ SOFTEST_PA, START_PA, STIFFEST_PA = 1e2, 3e4, 1e8
 """Moduli that are looked for: foam has a thousand pascals, hard rubber ten millions."""
 # no block gives energy back, but a force that comes a little late looks as if it did
 LEAST_RELAXATION_S = -2e-4
+HIGHEST_LOSS = 0.9
 HIGHEST_RATIO = 0.47
 """Beyond it a block keeps its volume, and four-node tetrahedra lock, even with J averaged over a cell."""
 
@@ -47,6 +48,8 @@ class BlockFacts:
     # poissons_ratio, relaxation_s: priors, of the latter viscosity over Young's modulus
     poissons_ratio: Quantity = field(default_factory=lambda: Quantity(0.3, 0.12))
     relaxation_s: Quantity = field(default_factory=lambda: Quantity(0.0, 0.01))
+    # by what share a block pushes back less when it is let go than when it is squeezed: its prior
+    loss: Quantity = field(default_factory=lambda: Quantity(0.0, 0.2))
     mesh: TetMesh | None = None  # of a block that is no box
     guessed: tuple[str, ...] = ()  # keys of sizes that the user did not state
 
@@ -105,6 +108,7 @@ def block_unknowns(
     ratio = facts.poissons_ratio
     relaxation = facts.relaxation_s
     gap = facts.gap
+    loss = facts.loss
     unknowns = [
         Unknown(
             "youngs_modulus", START_PA, np.inf, SOFTEST_PA, STIFFEST_PA, asinh_scale=SOFTEST_PA
@@ -115,6 +119,7 @@ def block_unknowns(
         Unknown(
             "block_relaxation", relaxation.value, relaxation.std, LEAST_RELAXATION_S, 1.0
         ).at_role(Role.ESTIMATED),
+        Unknown("block_loss", loss.value, loss.std, 0.0, HIGHEST_LOSS).at_role(Role.ESTIMATED),
     ]
     gaps = [
         Unknown("gap", gap.value, gap.std, -0.01, 0.1, scope=row)
@@ -184,7 +189,7 @@ class SqueezeProblem(Problem):
         )
 
     def touches(self, unknown: Unknown, row: int) -> bool:
-        if unknown.kind in ("youngs_modulus", "poissons_ratio", "block_relaxation"):
+        if unknown.kind in ("youngs_modulus", "poissons_ratio", "block_relaxation", "block_loss"):
             return bool(self.squeezing[row])
         return super().touches(unknown, row)
 
@@ -198,7 +203,7 @@ class SqueezeProblem(Problem):
         modulus = values[:, at["youngs_modulus"]]
         relaxation = values[:, at["block_relaxation"]]
         for row in np.flatnonzero(self.squeezing).tolist():
-            for name in ("youngs_modulus", "poissons_ratio"):
+            for name in ("youngs_modulus", "poissons_ratio", "block_loss"):
                 p[:, row, to[name]] = values[:, at[name]]
                 dp[:, row, to[name], at[name]] = 1.0
             p[:, row, to["block_viscosity"]] = relaxation * modulus

@@ -16,13 +16,16 @@ if TYPE_CHECKING:
 
 # a block is as stiff as one that is squeezed to this share of its length, however much further
 FLATTEST = 0.02
+# how fast a block is let go where all of its loss is there
+TURNS_M_S = 2e-4
 
 
 @dataclass(frozen=True)
 class SoftBlock(HandObject):
     """A weightless elastic block between the fingers: its pressed faces slip, the others are free.
 
-    Both sides are pressed with ``A P + damping rate``, where ``A`` is the pressed face and ``P`` what a compressible
+    Both sides are pressed with ``A P + damping rate``, less the share ``loss`` of ``A P`` while it is let go, where
+    ``A`` is the pressed face and ``P`` what a compressible
     neo-Hookean solid (J. Bonet and R. D. Wood, Nonlinear Continuum Mechanics, section 6.4.3; equation (4) of Chen et al.,
     "Learning Object Properties Using Robot Proprioception via Differentiable Robot-Object Interaction", ICRA 2025,
     arXiv:2410.03920) answers to a uniaxial stretch. It never pulls.
@@ -38,6 +41,7 @@ class SoftBlock(HandObject):
         "gap": ("gap_m", 1),
         "damping": ("damping", 1),
         "nu": ("poissons_ratio", 1),
+        "loss": ("loss", 1),
     }
     acts = True
 
@@ -47,6 +51,7 @@ class SoftBlock(HandObject):
     # how far each finger closes, from where it was when the block was put between them, until it touches
     gap_m: float = 0.0
     poissons_ratio: float = 0.25  # for small strains
+    loss: float = 0.0
 
     def __post_init__(self) -> None:
         if not 1.0 <= self.youngs_modulus_Pa <= 1e9:
@@ -58,6 +63,10 @@ class SoftBlock(HandObject):
         if not 0.0 <= self.damping < math.inf:
             raise ConfigurationError(
                 f"damping={self.damping:g}: give a number that is not negative"
+            )
+        if not 0.0 <= self.loss < 1.0:
+            raise ConfigurationError(
+                f"loss={self.loss:g}: what a block loses is from 0 to below 1 of its force"
             )
         if not 0.0 <= self.poissons_ratio < 0.5:
             raise ConfigurationError(
@@ -98,4 +107,5 @@ class SoftBlock(HandObject):
             if abs(step) < 1e-13 * square:
                 break
         elastic = self.size_m[1] * self.size_m[2] * mu * (square / stretch - stretch)
-        return max(elastic + self.damping * rate_m_s, 0.0)
+        lost = self.loss * 0.5 * (1.0 - math.tanh(rate_m_s / TURNS_M_S))
+        return max(elastic * (1.0 - lost) + self.damping * rate_m_s, 0.0)
