@@ -62,16 +62,16 @@ class _Squeeze:
         """The shortest of the durations."""
         return self.durations_s[0]
 
-    def given(self) -> dict[str, np.ndarray]:
-        """Instants and currents of the input of its run."""
+    def of(self, run: Run) -> Run:
+        """A run with this as its input."""
         if self.shake_A == 0.0:
-            return {"input_times_s": np.zeros(1), "input_current_A": np.array([self.current_A])}
+            return replace(
+                run, input_times_s=np.zeros(1), input_current_A=np.array([self.current_A])
+            )
         times_s = np.arange(2 * LEAST_SHAKES) * 0.5 * self.period_s
         waves = 1.0 - 2.0 * (np.arange(len(times_s)) % 2)
-        return {
-            "input_times_s": times_s,
-            "input_current_A": self.current_A + self.shake_A * waves,
-        }
+        currents_A = self.current_A + self.shake_A * waves
+        return replace(run, input_times_s=times_s, input_current_A=currents_A)
 
 
 class SqueezesUntilSure(Chooser):
@@ -172,7 +172,7 @@ class SqueezesUntilSure(Chooser):
             KnownLoad(),
             past_fast=True,
         )
-        return [replace(still, run=replace(still.run, **squeeze.given())) for squeeze in squeezes]
+        return [replace(still, run=squeeze.of(still.run)) for squeeze in squeezes]
 
     def _letting_go(self, constant: Sequence[_Squeeze], forecast: Forecast) -> list[_Squeeze]:
         """Squeezes that let go once the fingers have come some of their way, and not so far that they run on to its end."""
