@@ -68,9 +68,10 @@ class _Squeeze:
             return replace(
                 run, input_times_s=np.zeros(1), input_current_A=np.array([self.current_A])
             )
-        times_s = np.arange(2 * LEAST_SHAKES) * 0.5 * self.period_s
-        waves = 1.0 - 2.0 * (np.arange(len(times_s)) % 2)
-        currents_A = self.current_A + self.shake_A * waves
+        halves = range(2 * LEAST_SHAKES)
+        times_s = np.array([0.5 * self.period_s * half for half in halves])
+        waves = [self.shake_A if half % 2 == 0 else -self.shake_A for half in halves]
+        currents_A = np.array([self.current_A + wave for wave in waves])
         return replace(run, input_times_s=times_s, input_current_A=currents_A)
 
 
