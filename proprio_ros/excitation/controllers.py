@@ -180,7 +180,7 @@ class Controller(ABC):
         """What to send now: a number for each joint, in the controller's order and unit."""
 
     @abstractmethod
-    def last_words(self) -> list[float]:
+    def holding_command(self) -> list[float]:
         """What holds the arm without anybody who looks, for as long as nothing changes; changes nothing here."""
 
     @abstractmethod

@@ -142,7 +142,7 @@ class EffortController(Controller):
             self.pushed_A = {}
         return self._listed(efforts)
 
-    def last_words(self) -> list[float]:
+    def holding_command(self) -> list[float]:
         return self._listed(self._hold.steady())
 
     def steady(self) -> list[float]:

@@ -130,7 +130,7 @@ class GoalController(Controller):
         self._sent = {name: self._goal(name) for name in self.joints}
         return list(self._sent.values())
 
-    def last_words(self) -> list[float]:
+    def holding_command(self) -> list[float]:
         """Goals; of a joint that is pushed, where it was seen last [rad or m]."""
         return [self._goal(name, pushed=False) for name in self.joints]
 

@@ -23,7 +23,7 @@ from proprio_ros.excitation.guards import Guards
 from proprio_ros.excitation.machine import ExcitationMachine, Phase
 from proprio_ros.excitation.plans import load_sequence
 from proprio_ros.nodes import messages
-from proprio_ros.nodes.last_words import LAST_WORDS_S, LastWords
+from proprio_ros.nodes.command_watchdog import FALLBACK_S, CommandWatchdog
 from proprio_ros.nodes.managed_node import IDLE_PAUSE_S, ManagedNode
 from proprio_ros.nodes.outputs import ControllerOutput, DriverOutput, Output, controller_of
 from proprio_ros.nodes.parameters import value_of
@@ -139,7 +139,7 @@ class ExcitationNode(ManagedNode):
             if self._machine.busy:
                 self._abort("the excitation node was told to end")
                 # the process ends after this, and takes with it what was not yet sent
-                self._status.wait_for_all_acked(Duration(seconds=LAST_WORDS_S))
+                self._status.wait_for_all_acked(Duration(seconds=FALLBACK_S))
         finally:
             try:
                 self._output.finish()
@@ -160,14 +160,14 @@ class ExcitationNode(ManagedNode):
         with suppress(ProprioError):  # an arm that is held waits for nothing that takes long
             load_sequence(DEFAULT_PROBE, self._robot)
         switching = switching_of(self, commands.topic_name)
-        speaker = LastWords(
+        watchdog = CommandWatchdog(
             commands.topic_name,
             None if switching is None else switching.controllers,
             self.real_time,
         )
-        output = ControllerOutput(self, controller, commands, applied, speaker)
+        output = ControllerOutput(self, controller, commands, applied, watchdog)
         if switching is not None:
-            self._switched = SwitchedRuns(self, switching, speaker, output)
+            self._switched = SwitchedRuns(self, switching, watchdog, output)
         return output
 
     def _on_parameters(self, parameters: list[RosParameter]) -> SetParametersResult:

@@ -25,7 +25,7 @@ from proprio_ros.excitation.hold import HoldGains
 from proprio_ros.excitation.plans import ExcitationSequence
 from proprio_ros.excitation.remote_clock import RemoteClock
 from proprio_ros.nodes import messages
-from proprio_ros.nodes.last_words import LAST_WORDS_S, LastWords
+from proprio_ros.nodes.command_watchdog import FALLBACK_S, CommandWatchdog
 from proprio_ros.nodes.managed_node import ManagedNode
 from proprio_ros.robot import Robot
 
@@ -160,7 +160,7 @@ class DriverOutput(Output):
         return "the driver holds the arm: /driver/torque lets go of it"
 
     def finish(self) -> None:
-        self._currents.wait_for_all_acked(Duration(seconds=LAST_WORDS_S))
+        self._currents.wait_for_all_acked(Duration(seconds=FALLBACK_S))
 
     def begin(self) -> None:
         """The driver holds the arm already."""
@@ -196,7 +196,7 @@ class ControllerOutput(Output):
         controller: Whose commands they are.
         commands: Publisher to the controller.
         applied: Publisher of what pushes, or of the goals, for whoever records.
-        speaker: Speaks where this process cannot any more.
+        watchdog: Publishes where this process cannot any more.
     """
 
     holds = True
@@ -208,14 +208,14 @@ class ControllerOutput(Output):
         controller: Controller,
         commands: Any,
         applied: Any,
-        speaker: LastWords,
+        watchdog: CommandWatchdog,
     ) -> None:
         self._node = node
         self.controller = controller
         self._let_go_at_end = controller.can_let_go and node.values["on_end"] == "zero"
         self._commands = commands
         self._applied = applied
-        self._last_words = speaker
+        self._watchdog = watchdog
         self._topic = self._commands.topic_name
         self._clock = RemoteClock()  # of the joint states
         self._heard = False
@@ -234,15 +234,15 @@ class ControllerOutput(Output):
             )
         publishers = self._node.get_publishers_info_by_topic(self._topic)
         # beside this node's own
-        if sum(not self._last_words.is_publisher(info) for info in publishers) > 1:
+        if sum(not self._watchdog.is_publisher(info) for info in publishers) > 1:
             raise ExcitationError(
                 f"somebody else publishes on {self._topic}, too: end it first, for the last command counts"
             )
-        if not self._last_words.alive:
+        if not self._watchdog.alive:
             raise ExcitationError(
                 "the process that holds the arm if this one is killed has ended: start this node again"
             )
-        if not self._last_words.heard:
+        if not self._watchdog.heard:
             raise ExcitationError(
                 f"the process that holds a killed node's arm has not found {self._topic} yet: ask again"
             )
@@ -308,7 +308,7 @@ class ControllerOutput(Output):
 
     def hand_over(self) -> None:
         self.controller.release()
-        self._last_words.dismiss()
+        self._watchdog.clear()
 
     def finish(self) -> None:  # the controller keeps the last command, whatever becomes of us
         if not self.controller.holding:
@@ -323,23 +323,25 @@ class ControllerOutput(Output):
             self._take_up(None)
             self.controller.holding = False
             for publisher in (self._commands, self._applied):
-                publisher.wait_for_all_acked(Duration(seconds=LAST_WORDS_S))
-            self._last_words.dismiss()
+                publisher.wait_for_all_acked(Duration(seconds=FALLBACK_S))
+            self._watchdog.clear()
 
     def close(self) -> None:
-        self._last_words.close()
+        self._watchdog.close()
 
     def _say(self, commands: list[float]) -> None:
         # before it is sent: a pause after it would have it sent late
         self._said_ns = clock.now_ns()
         self._commands.publish(Float64MultiArray(data=array("d", commands)))
-        if self._last_words.due:
+        if self._watchdog.due:
             zeros = [0.0] * len(commands)
-            self._last_words.tell(zeros if self._let_go_at_end else self.controller.last_words())
+            self._watchdog.update(
+                zeros if self._let_go_at_end else self.controller.holding_command()
+            )
 
     def _let_go(self) -> None:
         self._say(self.controller.release())
-        self._last_words.dismiss()
+        self._watchdog.clear()
 
     def _record(self) -> None:
         """Remember what drives the joints, for whoever records, when it changes and now and then."""

@@ -19,8 +19,8 @@ from proprio_ros.nodes.managed_node import ManagedNode
 from proprio_ros.nodes.services import Answer, call, when_there
 
 if TYPE_CHECKING:
+    from proprio_ros.nodes.command_watchdog import CommandWatchdog
     from proprio_ros.nodes.excitation import ExcitationNode
-    from proprio_ros.nodes.last_words import LastWords
     from proprio_ros.nodes.outputs import Output
 
 PACKAGE = "controller_manager_msgs"
@@ -138,14 +138,14 @@ def switching_of(node: ManagedNode, topic: str) -> Switching | None:
 
 
 class SwitchedRuns:
-    """A node's sequences between two switches; the output holds the arm, and the speaker speaks for a node that is gone."""
+    """A node's sequences between two switches; the output holds the arm, and the watchdog stands in for a node that is gone."""
 
     def __init__(
-        self, node: ExcitationNode, switching: Switching, speaker: LastWords, output: Output
+        self, node: ExcitationNode, switching: Switching, watchdog: CommandWatchdog, output: Output
     ) -> None:
         self._node = node
         self._switching = switching
-        self._speaker = speaker
+        self._watchdog = watchdog
         self._output = output
         self._waiting: list[Answer] = []  # for the end of a switch
         others = switching.controllers.others
@@ -166,7 +166,7 @@ class SwitchedRuns:
             answer(False, why)
         else:
             self._output.begin()
-            self._speaker.engaged = True
+            self._watchdog.engaged = True
             self._switching.ask(True, partial(self._engaged, answer))
 
     def _engaged(self, answer: Answer, why: str) -> None:
@@ -196,7 +196,7 @@ class SwitchedRuns:
         self._go_on()
 
     def _handed_back(self) -> None:
-        self._speaker.engaged = False
+        self._watchdog.engaged = False
         self._output.hand_over()
 
     def _go_on(self) -> None:

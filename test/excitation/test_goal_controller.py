@@ -91,12 +91,12 @@ def test_the_record_is_what_was_sent_and_only_while_it_holds() -> None:
     assert controller.record == {}
 
 
-def test_last_words_hold_a_pushed_joint_where_it_was_seen() -> None:
+def test_the_holding_command_holds_a_pushed_joint_where_it_was_seen() -> None:
     controller = held()
-    still = dict(zip(ORDER, controller.last_words(), strict=True))
+    still = dict(zip(ORDER, controller.holding_command(), strict=True))
     controller.take(stepped(-0.25))
     controller.observe(1.1, {**POSE, "elbow_flex": 0.1})
-    last = dict(zip(ORDER, controller.last_words(), strict=True))
+    last = dict(zip(ORDER, controller.holding_command(), strict=True))
     assert last["elbow_flex"] - still["elbow_flex"] == pytest.approx(-0.1)
     assert {name: last[name] for name in ORDER if name != "elbow_flex"} == {
         name: still[name] for name in ORDER if name != "elbow_flex"

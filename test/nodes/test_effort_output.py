@@ -22,9 +22,9 @@ from support.domains import free_domain
 from support.live import wait_for
 
 from proprio_ros import clock
-from proprio_ros.nodes import excitation, last_words, messages
+from proprio_ros.nodes import command_watchdog, excitation, messages
+from proprio_ros.nodes.command_watchdog import CommandWatchdog
 from proprio_ros.nodes.excitation import ExcitationNode
-from proprio_ros.nodes.last_words import LastWords
 from proprio_ros.robot import load_robot
 from proprio_ros.virtual.effort_driver import EffortDriver
 from proprio_ros.virtual.objects import Payload
@@ -45,8 +45,8 @@ excitation:
 
 
 @dataclass
-class Speaker:
-    """In the place of the process that says last words."""
+class RecordedWatchdog:
+    """In the place of the process that stands in for a node that was killed."""
 
     told: list[list[float]] = field(default_factory=list)
     alive = due = heard = True
@@ -54,10 +54,10 @@ class Speaker:
     def is_publisher(self, info: Any) -> bool:
         return False
 
-    def tell(self, efforts: list[float]) -> None:
+    def update(self, efforts: list[float]) -> None:
         self.told.append(efforts)
 
-    def dismiss(self) -> None:
+    def clear(self) -> None:
         self.told.append([])
 
     def close(self) -> None:
@@ -89,9 +89,9 @@ class Arm:
             "now_ns",
             lambda: round(1e9 * self.time_s),
         )
-        self.speaker = Speaker()
+        self.watchdog = RecordedWatchdog()
         self.commands = Published()
-        monkeypatch.setattr(excitation, "LastWords", lambda *_given: self.speaker)
+        monkeypatch.setattr(excitation, "CommandWatchdog", lambda *_given: self.watchdog)
         monkeypatch.setattr(ExcitationNode, "urgent", False)
         probe = folder / "push.yaml"
         probe.write_text(PROBE % given.pop("push_s", 0.3))
@@ -175,7 +175,7 @@ class Arm:
 
     def assert_let_go(self) -> None:
         assert list(self.commands[-1].data) == [0.0] * len(ORDER)
-        assert self.speaker.told[-1] == [], "nobody takes it up again"
+        assert self.watchdog.told[-1] == [], "nobody takes it up again"
 
 
 @pytest.fixture
@@ -254,7 +254,7 @@ def test_the_end_of_the_node_is_a_last_word(make: Any, phase: str, on_end: str) 
         arm.assert_let_go()
         return
     last = list(arm.commands[-1].data)
-    assert arm.speaker.told[-1] == []
+    assert arm.watchdog.told[-1] == []
     assert any(last)
     assert phase == "approach" or last[0] != pushed[0], "a push ends"
     arm.assert_held(alive=False)
@@ -267,7 +267,7 @@ def test_what_is_said_for_a_killed_node_holds_the_arm(make: Any, phase: str) -> 
     arm.until(phase)
     arm.advance(0.1)
     arm.advance(0.3, alive=False)  # until it is noticed that it is silent
-    arm.commands.append(Float64MultiArray(data=arm.speaker.told[-1]))
+    arm.commands.append(Float64MultiArray(data=arm.watchdog.told[-1]))
     arm.assert_held(alive=False)
 
 
@@ -326,7 +326,7 @@ def test_nothing_begins_where_nobody_would_hold_the_arm_of_a_killed_node(
 ) -> None:
     arm = make()
     arm.advance(0.2)
-    setattr(arm.speaker, lacks, False)
+    setattr(arm.watchdog, lacks, False)
     response = arm.node._on_run(
         Trigger.Request(),
         Trigger.Response(),
@@ -348,7 +348,7 @@ def test_the_state_is_told_at_rest_too(make: Any, monkeypatch: pytest.MonkeyPatc
 
 
 @pytest.mark.long
-def test_last_words_are_said_when_the_node_is_silent_or_gone(
+def test_the_watchdog_publishes_when_the_node_is_silent_or_gone(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setenv("ROS_DOMAIN_ID", free_domain())
@@ -367,24 +367,24 @@ def test_last_words_are_said_when_the_node_is_silent_or_gone(
         executor.spin_once(timeout_sec=0.05)
         return heard == wanted
 
-    speaker = LastWords(topic)
+    watchdog = CommandWatchdog(topic)
     try:
-        assert wait_for(lambda: node.count_publishers(topic) == 1 and speaker.heard)
+        assert wait_for(lambda: node.count_publishers(topic) == 1 and watchdog.heard)
         (publisher,) = node.get_publishers_info_by_topic(topic)
         publisher.node_name = "_NODE_NAME_UNKNOWN_"  # as it is until the name comes
-        assert speaker.is_publisher(publisher)
+        assert watchdog.is_publisher(publisher)
         publisher.endpoint_gid = [0] * len(publisher.endpoint_gid)
-        assert not speaker.is_publisher(publisher)
-        speaker.tell([1.0, 2.0])
+        assert not watchdog.is_publisher(publisher)
+        watchdog.update([1.0, 2.0])
         assert wait_for(lambda: says([[1.0, 2.0]]) or len(heard) > 1), "it is silent"
-        speaker.dismiss()
-        speaker.tell([3.0, 4.0])
-        speaker.close()
+        watchdog.clear()
+        watchdog.update([3.0, 4.0])
+        watchdog.close()
         assert wait_for(lambda: not says([]) and bool(heard) and heard[-1] == [3.0, 4.0]), (
             "it is gone"
         )
-        assert wait_for(lambda: not speaker.alive)
-        other = LastWords(topic)
+        assert wait_for(lambda: not watchdog.alive)
+        other = CommandWatchdog(topic)
         other.tell([5.0, 6.0])
         other.dismiss()
         other.close()
@@ -392,8 +392,8 @@ def test_last_words_are_said_when_the_node_is_silent_or_gone(
         for _ in range(20):  # the first one's last words are said again and again
             executor.spin_once(timeout_sec=0.05)
         assert [5.0, 6.0] not in heard, "who was dismissed says nothing"
-        monkeypatch.setattr(last_words, "FOUND_S", 0.0)
-        alone = LastWords("/nobody_listens/commands")
+        monkeypatch.setattr(command_watchdog, "FOUND_S", 0.0)
+        alone = CommandWatchdog("/nobody_listens/commands")
         assert alone.alive
         assert not alone.heard
         listening = node.create_subscription(

@@ -72,11 +72,11 @@ class Arm:
         self.told: list[list[float]] = []
         self.commands = Published()
         self.goals = Published()
-        speaker = SimpleNamespace(
-            alive=True, due=True, heard=True, tell=self.told.append, dismiss=lambda: self.told.append([]), close=lambda: None,
+        watchdog = SimpleNamespace(
+            alive=True, due=True, heard=True, update=self.told.append, clear=lambda: self.told.append([]), close=lambda: None,
             is_publisher=lambda info: False,
         )  # fmt: skip
-        monkeypatch.setattr(excitation, "LastWords", lambda *_given: speaker)
+        monkeypatch.setattr(excitation, "CommandWatchdog", lambda *_given: watchdog)
         monkeypatch.setattr(ExcitationNode, "urgent", False)
         probe = folder / "step.yaml"
         probe.write_text(PROBE)

@@ -181,15 +181,15 @@ def test_without_the_messages_the_node_says_so_and_works(
         lambda self, severity, words: said.append(words),
     )
     monkeypatch.setattr(ExcitationNode, "urgent", False)
-    speaker = SimpleNamespace(
+    watchdog = SimpleNamespace(
         alive=True,
         due=True,
         heard=True,
         close=lambda: None,
-        dismiss=lambda: None,
-        tell=lambda _: None,
+        clear=lambda: None,
+        update=lambda _: None,
     )
-    monkeypatch.setattr(excitation, "LastWords", lambda *_given: speaker)
+    monkeypatch.setattr(excitation, "CommandWatchdog", lambda *_given: watchdog)
     context = rclpy.Context()
     rclpy.init(args=[], context=context)
     given = {"command_interface": "position", "controller_manager": "/controller_manager", **ARM}
@@ -213,7 +213,7 @@ def test_without_the_messages_the_node_says_so_and_works(
 
 
 class Fake:
-    """Node, switch, speaker and output in one, which remember what they were asked for."""
+    """Node, switch, watchdog and output in one, which remember what they were asked for."""
 
     def __init__(self) -> None:
         self.done: list[str] = []

@@ -147,8 +147,8 @@ class CoarseRobot(virtual_robot.VirtualRobot):
         arm.model.opt.integrator = arm.mujoco.mjtIntegrator.mjINT_IMPLICITFAST
 
 
-class Speaker:
-    """In the place of the process that says last words of a node that was killed; see test/nodes/test_position_controller.py."""
+class NoWatchdog:
+    """In the place of the process that stands in for a node that was killed; see test/nodes/test_position_controller.py."""
 
     alive = due = heard = True
     engaged = False
@@ -159,10 +159,10 @@ class Speaker:
     def is_publisher(self, info: Any) -> bool:
         return False
 
-    def tell(self, efforts: Any) -> None:
+    def update(self, efforts: Any) -> None:
         pass
 
-    def dismiss(self) -> None:
+    def clear(self) -> None:
         pass
 
     def close(self) -> None:
@@ -202,7 +202,7 @@ class World:
             port, *rest, connect=partial(Wire, self.clock, port)
         )
         ROOM["virtual"].VirtualRobot = CoarseRobot if coarse else virtual_robot.VirtualRobot
-        ROOM["excitation"].LastWords = Speaker
+        ROOM["excitation"].CommandWatchdog = NoWatchdog
         self._needed: dict[str, dict[str, Any]] = {
             "virtual": {"link": LINK},
             "driver": {"port": LINK},

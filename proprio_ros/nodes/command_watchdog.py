@@ -1,6 +1,6 @@
-"""Says the last words of a node that was killed or stands still: an effort controller keeps for ever what it was told last.
+"""Publishes in place of a node that was killed or stands still: an effort controller keeps for ever what it was told last.
 
-A process of its own, since nobody speaks for himself after `kill -9`. The excitation node starts it and tells it again and again
+A process of its own, since nothing runs in one after `kill -9`. The excitation node starts it and tells it again and again
 what would hold the arm, as a line of numbers on its standard input; an empty line says that nothing is held. When the lines stay
 away, or end before an empty one, the numbers are published in the node's place. A line that begins with `SWITCHED` says that
 controllers were switched for it: when the lines end then, they are switched back.
@@ -35,7 +35,7 @@ TOLD_PERIOD_S = 0.05
 SILENT_S = 0.25
 """A node that has told nothing for so long does not hold the arm any more. If it goes on later, its commands count again."""
 NODE = "excitation_last_words"
-LAST_WORDS_S = 0.3
+FALLBACK_S = 0.3
 AGAIN = 6
 START_S = 60.0
 FOUND_S = 4.0  # who uses DDS announces itself every 3 s, should the first words be lost
@@ -43,10 +43,10 @@ SWITCHED = "switched"
 REAL_TIME = "real_time"
 HEARD = b"+"
 UNHEARD = b"-"
-SWITCH_S = 5.0  # for so long whoever speaks for a node that is gone waits for controller_manager
+SWITCH_S = 5.0  # for so long whoever stands in for a node that is gone waits for controller_manager
 
 
-class LastWords:
+class CommandWatchdog:
     """The other process, as the node sees it: told the controller's topic, and the controllers that are switched back.
 
     Args:
@@ -66,7 +66,14 @@ class LastWords:
         self.engaged = False
         switched = "" if controllers is None else json.dumps(asdict(controllers))
         urgent = [REAL_TIME] if real_time else []
-        command = [sys.executable, "-m", "proprio_ros.nodes.last_words", topic, switched, *urgent]
+        command = [
+            sys.executable,
+            "-m",
+            "proprio_ros.nodes.command_watchdog",
+            topic,
+            switched,
+            *urgent,
+        ]
         # a session of its own: Ctrl-C is for the node alone, which then ends in order
         self._process = subprocess.Popen(
             command, 0, stdin=subprocess.PIPE, stdout=subprocess.PIPE, start_new_session=True
@@ -100,7 +107,7 @@ class LastWords:
 
     @property
     def heard(self) -> bool:
-        """Whether it has found who listens on the topic, which the node itself may have before: until then it speaks to nobody."""
+        """Whether it has found who listens on the topic, which the node itself may have before: until then nobody would hear it."""
         assert self._process.stdout is not None
         if select.select([self._process.stdout], [], [], 0.0)[0]:
             self._heard = os.read(self._process.stdout.fileno(), 4096).endswith(HEARD)
@@ -118,18 +125,18 @@ class LastWords:
         """Whether it is to be told something again."""
         return time.monotonic() - self._told_s >= TOLD_PERIOD_S
 
-    def tell(self, efforts: Sequence[float]) -> None:
+    def update(self, efforts: Sequence[float]) -> None:
         """What to publish if nothing follows."""
         self._told_s = time.monotonic()
         self._write(" ".join(repr(float(effort)) for effort in efforts))
 
-    def dismiss(self) -> None:
+    def clear(self) -> None:
         """Nothing is held any more."""
         self._told_s = -1e9
         self._write("")
 
     def close(self) -> None:
-        """It ends without a word, if it was dismissed before."""
+        """It ends and publishes nothing, if it was cleared before."""
         assert self._process.stdin is not None
         with contextlib.suppress(OSError):
             self._process.stdin.close()
@@ -142,8 +149,8 @@ class LastWords:
             os.write(self._process.stdin.fileno(), f"{line}\n".encode())
 
 
-class _Speaker:
-    """Speaks for a node that is gone: what it said last holds the arm, and controllers are switched back.
+class _FallbackPublisher:
+    """In place of a node that is gone: what it sent last holds the arm, and controllers are switched back.
 
     Args:
         topic: Where the controller listens.
@@ -170,9 +177,9 @@ class _Speaker:
         return [bytes(info.endpoint_gid).hex() for info in mine]
 
     def listen(self) -> None:
-        """Speak for the node whenever it is silent; returns when it has ended."""
+        """Publish in place of the node whenever it is silent; returns when it has ended."""
         while True:
-            self._say_whether_heard()
+            self._report_listeners()
             ready, _, _ = select.select(
                 [sys.stdin],
                 [],
@@ -180,30 +187,30 @@ class _Speaker:
                 SILENT_S,
             )
             if not ready:
-                self._speak()
+                self._publish()
                 continue
             read = os.read(sys.stdin.fileno(), 65536)
             if not read:
                 return
             *lines, self._rest = (self._rest + read).split(b"\n")
             if lines:
-                self._take(lines[-1])
+                self._receive(lines[-1])
             else:
-                self._speak()
+                self._publish()
 
-    def _say_whether_heard(self) -> None:
+    def _report_listeners(self) -> None:
         if (self._publisher.get_subscription_count() > 0) != self._heard:
             self._heard = not self._heard
             with contextlib.suppress(OSError):  # nobody is left to read it
                 os.write(sys.stdout.fileno(), HEARD if self._heard else UNHEARD)
 
-    def _take(self, line: bytes) -> None:
+    def _receive(self, line: bytes) -> None:
         words = line.split()
         self._engaged = words[:1] == [SWITCHED.encode()]
         numbers = words[1:] if self._engaged else words
         self._last = [float(word) for word in numbers]
 
-    def _speak(self) -> None:
+    def _publish(self) -> None:
         if self._last:
             self._publisher.publish(Float64MultiArray(data=array("d", self._last)))
 
@@ -211,9 +218,9 @@ class _Speaker:
         """The node has ended: hold what it held, and hand the arm back."""
         # again, since what the node itself sent last may come after them
         for _ in range(AGAIN if self._last else 0):
-            self._speak()
-            self._publisher.wait_for_all_acked(Duration(seconds=LAST_WORDS_S / AGAIN))
-            time.sleep(LAST_WORDS_S / AGAIN)  # on their way through sockets
+            self._publish()
+            self._publisher.wait_for_all_acked(Duration(seconds=FALLBACK_S / AGAIN))
+            time.sleep(FALLBACK_S / AGAIN)  # on their way through sockets
         if self._engaged and self._controllers is not None:
             self._switch_back(self._controllers)
         self.node.destroy_node()
@@ -238,13 +245,13 @@ def main(topic: str, switched: str = "", urgent: str = "") -> int:
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, signal.SIG_IGN)  # it ends with the node
     rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
-    speaker = _Speaker(topic, switched)
-    sys.stdout.write(f"ready {' '.join(speaker.endpoints(topic))}\n")
+    fallback = _FallbackPublisher(topic, switched)
+    sys.stdout.write(f"ready {' '.join(fallback.endpoints(topic))}\n")
     sys.stdout.flush()
     if urgent == REAL_TIME:
         run_in_real_time()
-    speaker.listen()
-    speaker.end()
+    fallback.listen()
+    fallback.end()
     rclpy.shutdown()
     return 0
 
