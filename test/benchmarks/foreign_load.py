@@ -16,25 +16,14 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from foreign_controller import MASSES_KG, about, asked, logged, tell
 from results import parser_of
+from support.busy_programs import BusyPrograms
 from support.domains import free_domain
-
-
-@contextlib.contextmanager
-def busy(count: int) -> Iterator[None]:
-    """So many programs that never wait."""
-    programs = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(count)]
-    try:
-        yield
-    finally:
-        for program in programs:
-            program.kill()
-            program.wait()
 
 
 def weighed(
@@ -66,7 +55,7 @@ def weighed(
         )
         ends.callback(arm.wait)
         ends.callback(arm.kill)
-        ends.enter_context(busy(load))
+        ends.enter_context(BusyPrograms(load))
         _, client = ends.enter_context(running(folder, "excitation", "identifier", **nodes))
         client.hear_less()
         hand = client.node.create_publisher(Float64, "/hand", 1)

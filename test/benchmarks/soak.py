@@ -16,8 +16,6 @@ import json
 import os
 import re
 import resource
-import subprocess
-import sys
 import tempfile
 import threading
 import time
@@ -27,6 +25,7 @@ from typing import Any
 
 import numpy as np
 from results import Results, parser_of
+from support.busy_programs import BusyPrograms
 
 MASSES_KG = (0.02, 0.05, 0.08, 0.035)
 PROCESSES = ("virtual", "driver", "excitation", "identifier")
@@ -47,7 +46,7 @@ class Load:
 
     def __init__(self, load: float) -> None:
         self._load = load
-        self._programs: list[subprocess.Popen[bytes]] = []
+        self._programs = BusyPrograms()
         self._ended = threading.Event()
         self.seen: list[float] = []
         self._thread = threading.Thread(target=self._adapt, daemon=True)
@@ -59,23 +58,16 @@ class Load:
     def __exit__(self, *_: object) -> None:
         self._ended.set()
         self._thread.join()
-        while self._programs:
-            self._end_one()
+        self._programs.end_all()
 
     def _adapt(self) -> None:
         while not self._ended.wait(5.0):
             now = os.getloadavg()[0]
             self.seen.append(now)
             if now < self._load - 0.5 and len(self._programs) < self._load:
-                busy = [sys.executable, "-c", "while True: pass"]
-                self._programs.append(subprocess.Popen(busy))
+                self._programs.begin_one()
             elif now > self._load + 0.5 and self._programs:
-                self._end_one()
-
-    def _end_one(self) -> None:
-        program = self._programs.pop()
-        program.kill()
-        program.wait()
+                self._programs.end_one()
 
 
 class Watch:
