@@ -385,13 +385,13 @@ def test_the_watchdog_publishes_when_the_node_is_silent_or_gone(
         )
         assert wait_for(lambda: not watchdog.alive)
         other = CommandWatchdog(topic)
-        other.tell([5.0, 6.0])
-        other.dismiss()
+        other.update([5.0, 6.0])
+        other.clear()
         other.close()
         assert wait_for(lambda: not other.alive)
-        for _ in range(20):  # the first one's last words are said again and again
+        for _ in range(20):  # what the first one holds is published again and again
             executor.spin_once(timeout_sec=0.05)
-        assert [5.0, 6.0] not in heard, "who was dismissed says nothing"
+        assert [5.0, 6.0] not in heard, "who was cleared publishes nothing"
         monkeypatch.setattr(command_watchdog, "FOUND_S", 0.0)
         alone = CommandWatchdog("/nobody_listens/commands")
         assert alone.alive
