@@ -339,7 +339,7 @@ def _of_nodes_and_users() -> list[Question]:
             "faults",
         ),
         (
-            "What does the pendant cost, and whom does it let in?",
+            "Is the pendant safe and cheap?",
             f"{hostile['sent']} hostile requests; joint states at 100 Hz",
             f"{hostile['refused']} refused, {hostile['moved']} moved the arm; {idle['core']:.1%} of a core, {idle['mb']:.0f} MB",
             "pendant",

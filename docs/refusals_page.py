@@ -36,7 +36,7 @@ DO = {
     "ExcitationError": "bring arm or driver into the state that the line names, and call again",
 }
 """What to do about each class of errors."""
-LONGEST = 18  # words of a sentence that is shown; what is cut comes back in the remedy
+LONGEST = 15  # words of a sentence that is shown; what is cut comes back in the remedy
 
 
 def page(note: str) -> str:
