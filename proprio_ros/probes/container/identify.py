@@ -289,6 +289,11 @@ class WeighedSphere(Conclusion):
         """The problem under other facts."""
         return replace(self.search, facts=facts).problem(Role.ESTIMATED)[0]
 
+    @cached_property
+    def _shown(self) -> np.ndarray:
+        """What the encoders show as the fit has it, shape (1, R, T)."""
+        return self.problem.simulate(self.fit.values[None], self.problem.estimated[:1])[0]
+
     def _shift(self, other: ContainerProblem, values: np.ndarray) -> float:
         """By how much the mass would follow another problem with these values of all unknowns (changed), to first order [kg]."""
         fit = self.fit
@@ -300,16 +305,12 @@ class WeighedSphere(Conclusion):
                 other.unknowns[at].lower,
                 other.unknowns[at].upper,
             )
-        soft, _, _ = self.problem.simulate(
-            fit.values[None],
-            self.problem.estimated[:1],
-        )
         hard, _, _ = other.simulate(
             values[None],
             other.estimated[:1],
         )
         seen = self.problem.weight > 0.0
-        off = ((soft - hard)[0] * self.problem.weight)[seen]
+        off = ((self._shown - hard)[0] * self.problem.weight)[seen]
         follows = posterior.covariance @ posterior.sensitivity.T @ off
         return float(follows[fit.column(self.name)])
 
