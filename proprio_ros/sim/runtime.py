@@ -22,6 +22,8 @@ FLOATS = wp.array2d(dtype=FLOAT)
 
 COMPILERS = min(os.cpu_count() or 1, 4)
 """Kernels that are compiled at the same time. Each thread first compiles Warp's headers, 1.2 s; a single one is the caller's."""
+SECONDS_EACH = 1.3
+"""What the kernel of a push takes to compile; one of moving contents takes up to eight."""
 _refusal = ""
 _started = False
 _alone = 0  # how many kernels were compiled in this process for the first who asked, and not ahead
@@ -93,7 +95,9 @@ def load(kernels: Sequence[Any], device: Any) -> None:
             missing,
         )
         for number in range(1, len(missing) + 1):
-            progress.say(f"compiling {number} of {len(missing)}, once on this computer")
+            left_s = SECONDS_EACH * (len(missing) + 1 - number) / COMPILERS
+            words = f"compiling {number} of {len(missing)} kernels"
+            progress.say(f"{words}, {left_s:.0f} s and more, once on this computer")
             next(loaded)
     for kernel in kernels:
         _load(kernel.module, device)
@@ -126,7 +130,8 @@ def launch(
         _alone += 1
         to_come = sum(not _is_kept(each.module, device) for each in others() if each != kernel)
         of = f" of at most {_alone + to_come}" if to_come else ""
-        progress.say(f"compiling kernel {_alone}{of}, once on this computer")
+        words = f"compiling kernel {_alone}{of}"
+        progress.say(f"{words}, {SECONDS_EACH:.0f} s and more each, once on this computer")
         _load(kernel.module, device, block)
     return wp.launch(kernel, device=device, **given)
 

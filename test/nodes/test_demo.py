@@ -161,7 +161,7 @@ def test_on_a_new_computer_it_shows_what_it_waits_for(
     try:
         # to the last one: test_start.py
         assert comes(
-            demo, lambda: re.search(r"proprio: starting: compiling \d+ of 8, once", demo.told)
+            demo, lambda: re.search(r"proprio: starting: compiling \d+ of 8 kernels, ", demo.told)
         ), demo.told
         assert_interrupted(demo)
     finally:

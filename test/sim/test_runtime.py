@@ -41,9 +41,12 @@ def test_what_is_compiled_is_said_and_only_once(
     heard = []
     with progress.listening(heard.append):
         runtime.load(kernels, "cpu")
-        assert heard == [f"compiling {number} of 2, {COMPILING}" for number in (1, 2)]
+        assert [words.split(",")[0] for words in heard] == [
+            f"compiling {number} of 2 kernels" for number in (1, 2)
+        ]
+        assert all(words.endswith(f" s and more, {COMPILING}") for words in heard)
         runtime.load([*kernels, kernel_of(3.5)], "cpu")
-        assert heard[2:] == [f"compiling 1 of 1, {COMPILING}"]
+        assert len(heard) == 3 and heard[2].startswith("compiling 1 of 1 kernels, ")
         out = wp.zeros(1, dtype=wp.float64, device="cpu")
         runtime.launch(
             kernels[1],
@@ -124,14 +127,10 @@ def test_a_replay_says_what_it_compiles(bags: Path, tmp_path: Path) -> None:
         return done.stderr.splitlines()
 
     lines = said()
-    assert (
-        lines
-        == [
-            f"proprio: compiling kernel {number} of at most 8, {COMPILING}"
-            for number in range(1, len(lines) + 1)
-        ]
-        and lines
-    )
+    assert lines
+    for number, words in enumerate(lines, start=1):
+        assert words.startswith(f"proprio: compiling kernel {number} of at most 8, ")
+        assert words.endswith(f" s and more each, {COMPILING}")
     assert said() == []
 
 
