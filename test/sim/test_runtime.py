@@ -128,9 +128,9 @@ def test_a_replay_says_what_it_compiles(bags: Path, tmp_path: Path) -> None:
 
     lines = said()
     assert lines
-    for number, words in enumerate(lines, start=1):
-        assert words.startswith(f"proprio: compiling kernel {number} of at most 8, ")
-        assert words.endswith(f" s and more each, {COMPILING}")
+    for number, line in enumerate(lines, start=1):
+        assert line.startswith(f"proprio: compiling kernel {number} of at most 8, ")
+        assert line.endswith(f" s and more each, {COMPILING}")
     assert said() == []
 
 
