@@ -1,7 +1,7 @@
 """What a calibration is still worth some time after it was made: its numbers stay, what is known of them widens.
 
-Friction and torque constants wander with wear, grease and warmth. The robot file states by how much (`Drift`); the covariance of a
-calibration grows by that, so that yesterday's numbers are today's prior:
+Friction and torque constants wander with wear, grease and warmth. The robot file states by how much (`AgeingRates`); the covariance
+of a calibration grows by that, so that yesterday's numbers are today's prior:
 
 - Dry, viscous and load-dependent friction of every joint, each on its own: a part of its value, as a random walk (variance in
   proportion to the hours, so that it does not matter how often somebody looks), and by the warmth of the motor where it is known.
@@ -32,7 +32,7 @@ WORTH_SAYING = 0.03  # friction known worse by this part of itself is said
 
 
 @dataclass(frozen=True)
-class Drift:
+class AgeingRates:
     """Standard deviations of what changes after a calibration, relative."""
 
     # friction_per_sqrt_h, torque_constant_per_sqrt_h: after an hour; after n hours sqrt(n) times as much
@@ -65,7 +65,7 @@ class Drift:
 
 
 FORMS: Mapping[str, Number] = {
-    field.name: Number("relative", "", 0.0, 1.0) for field in fields(Drift)
+    field.name: Number("relative", "", 0.0, 1.0) for field in fields(AgeingRates)
 }
 
 
@@ -85,7 +85,7 @@ def warmer_K(one: Moment, other: Moment) -> dict[str, float]:
     }
 
 
-def aged(calibration: Calibration, drift: Drift, now: Moment | None) -> Calibration:
+def aged(calibration: Calibration, drift: AgeingRates, now: Moment | None) -> Calibration:
     """The same as a prior of another moment, when it is used; unchanged where either moment is not known.
 
     Args:
@@ -104,7 +104,7 @@ def aged(calibration: Calibration, drift: Drift, now: Moment | None) -> Calibrat
 
 
 def _growth(
-    calibration: Calibration, drift: Drift, hours: float, warmer: Mapping[str, float]
+    calibration: Calibration, drift: AgeingRates, hours: float, warmer: Mapping[str, float]
 ) -> FloatArray:
     """By what a covariance grows, shape (C, C)."""
     own = np.zeros(len(calibration.keys))
@@ -123,7 +123,7 @@ def _growth(
     return np.diag(own) + common @ common.T
 
 
-def said(calibration: Calibration, drift: Drift, now: Moment | None) -> str:
+def ageing_note(calibration: Calibration, drift: AgeingRates, now: Moment | None) -> str:
     """What ageing does, in a sentence; empty where it is not worth one.
 
     Args:

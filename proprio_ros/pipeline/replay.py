@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from proprio_ros.calibration_files.drift import aged, said
+from proprio_ros.calibration_files.drift import aged, ageing_note
 from proprio_ros.calibration_files.pushes import Moment
 from proprio_ros.errors import ConfigurationError, RecordingError
 from proprio_ros.identification.estimate import Estimate, HeldView
@@ -192,7 +192,7 @@ def identify(
     notes = (*estimate.notes, *taken, *_guessed_frame(robot, request.options.settings))
     fresh = request.robot.calibration
     if fresh is not None and robot.calibration is not None:
-        drifted = said(fresh, robot.drift, robot.calibration.made)
+        drifted = ageing_note(fresh, robot.drift, robot.calibration.made)
         if drifted:
             notes += (drifted,)
     views = _held_views(request, robot, read.motions[0], estimate) if read.motions else ()

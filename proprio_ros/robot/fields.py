@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from proprio_ros.calibration_files import drift
-from proprio_ros.calibration_files.drift import Drift
+from proprio_ros.calibration_files.drift import AgeingRates
 from proprio_ros.calibration_files.motions import MotionCalibration
 from proprio_ros.calibration_files.one_joint import JointCalibration
 from proprio_ros.calibration_files.pushes import NOISE, RANGES, Calibration
@@ -75,8 +75,8 @@ def _drive(value: Any) -> Drive:
     )
 
 
-def _drift(value: Any) -> Drift:
-    return Drift(**section(value, drift.FORMS))
+def _drift(value: Any) -> AgeingRates:
+    return AgeingRates(**section(value, drift.FORMS))
 
 
 def _held(value: Any) -> dict[str, float]:
@@ -234,7 +234,8 @@ ROBOT: dict[str, Field] = {
         Part("where joints stand that recordings lack, by name, in rad or m", by=_held), {}
     ),
     "drift": Field(
-        Part("how fast a calibration ages: four relative standard deviations", by=_drift), Drift()
+        Part("how fast a calibration ages: four relative standard deviations", by=_drift),
+        AgeingRates(),
     ),
     "calibrated": Field(Truth("whether the numbers come from this very arm"), False),
     "model_fingerprint": Field(Text("of the URDF that a calibration was made with"), None),

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from proprio_ros.calibration_files.drift import Drift
+from proprio_ros.calibration_files.drift import AgeingRates
 from proprio_ros.calibration_files.motions import MotionCalibration
 from proprio_ros.calibration_files.one_joint import JointCalibration
 from proprio_ros.calibration_files.pushes import TERMS, Calibration, check_complete
@@ -104,7 +104,7 @@ class Robot:
     motion_calibration: MotionCalibration | None = None
     # what motions with known loads say about the only joint of this very robot
     joint_calibration: JointCalibration | None = None
-    drift: Drift = field(default_factory=Drift)  # how fast a calibration ages
+    drift: AgeingRates = field(default_factory=AgeingRates)  # how fast a calibration ages
     # where joints stand that a recording lacks [rad or m]
     held: Mapping[str, float] = field(default_factory=dict)
     tip: str | None = None  # last link of the arm; None: every joint with a motor is of the arm

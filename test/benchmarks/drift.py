@@ -26,7 +26,7 @@ from random_arm import EFFECTS_DEFAULT, JOINTS, SPREAD, HiddenRobot, ball, draw_
 from results import Results, each_answer, parser_of
 from until_sure import Bench, calibrated
 
-from proprio_ros.calibration_files.drift import FRICTION, Drift, aged
+from proprio_ros.calibration_files.drift import FRICTION, AgeingRates, aged
 from proprio_ros.calibration_files.pushes import Moment
 from proprio_ros.errors import ProprioError
 from proprio_ros.excitation.plans import load_sequence
@@ -60,7 +60,7 @@ class Case:
 
 def drifted(
     hidden: HiddenRobot,
-    drift: Drift,
+    drift: AgeingRates,
     hours: float,
     warmer_K: Sequence[float],
     rng: np.random.Generator,
@@ -145,7 +145,7 @@ def one_robot(
     )
     stale = fresh.with_calibration(replace(fresh.calibration, made=made))
     stated = stale.drift
-    truth = Drift(**{name: times * value for name, value in vars(stated).items()})
+    truth = AgeingRates(**{name: times * value for name, value in vars(stated).items()})
     later = drifted(hidden, truth, hours, warmer_K.tolist(), rng)
     old = stale.with_calibration(aged(stale.calibration, stated, now))
     robots = {STALE: stale, AGED: old}

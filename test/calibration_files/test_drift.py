@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import yaml
 
-from proprio_ros.calibration_files.drift import Drift, aged, said
+from proprio_ros.calibration_files.drift import AgeingRates, aged, ageing_note
 from proprio_ros.calibration_files.pushes import Calibration, Moment
 from proprio_ros.errors import ConfigurationError, RobotError
 from proprio_ros.inputs.forms import FormError
@@ -27,7 +27,7 @@ from proprio_ros.robot import load_robot
 BAGS = Path(__file__).parents[2] / "bags"
 NOW_S = 1.76e9
 DAY_S = 86400.0
-DRIFT = Drift(0.01, 0.02, 0.001, 0.002)
+DRIFT = AgeingRates(0.01, 0.02, 0.001, 0.002)
 KEYS = (
     ("torque_constant", "joint2"),
     ("coulomb", "joint2"),
@@ -118,11 +118,11 @@ def test_how_often_somebody_looks_does_not_matter() -> None:
 def test_what_is_not_known_to_be_old_stays(then: Moment | None, now: Moment | None) -> None:
     old = calibration(then)
     assert aged(old, DRIFT, now) is old
-    assert said(old, DRIFT, now) == ""
+    assert ageing_note(old, DRIFT, now) == ""
 
 
 def test_what_ageing_does_is_said() -> None:
-    words = said(
+    words = ageing_note(
         calibration(Moment(NOW_S, {"joint3": 30.0})), DRIFT, Moment(NOW_S + DAY_S, {"joint3": 41.0})
     )
     assert words.startswith(
@@ -149,10 +149,10 @@ def test_when_it_was_made_is_kept_in_the_file() -> None:
 
 
 def test_the_robot_file_states_the_drift() -> None:
-    assert load_robot("open_manipulator_x").drift == Drift()
-    assert load_robot("open_manipulator_x", {"drift": {"friction_per_K": 0.5}}).drift == Drift(
-        friction_per_K=0.5
-    )
+    assert load_robot("open_manipulator_x").drift == AgeingRates()
+    assert load_robot(
+        "open_manipulator_x", {"drift": {"friction_per_K": 0.5}}
+    ).drift == AgeingRates(friction_per_K=0.5)
     with pytest.raises(RobotError, match="drift: unknown key 'friction_per_day'"):
         load_robot("open_manipulator_x", {"drift": {"friction_per_day": 0.5}})
     with pytest.raises(RobotError, match="drift: friction_per_K"):
