@@ -51,9 +51,6 @@ PASSES = 6
 WORTH = 1.0
 # nor where chi-square is farther beyond the best model's, in what each of its degrees of freedom has
 BESIDE = 200.0
-# at most, before held joints give way and after that
-ROUGH_ITERATIONS = 4
-ITERATIONS = 30
 # of its prior's standard deviation: what a recording must leave at most for a value to be its own
 LEARNT = 0.6
 CLASSES = (
@@ -136,7 +133,6 @@ def searched(
     problem: law.ContentsProblem,
     starts: np.ndarray,
     windows: Callable[[float], np.ndarray] | None,
-    iterations: int,
 ) -> FitResult:
     """Search from some starts, roughly.
 
@@ -144,7 +140,6 @@ def searched(
         problem: What is fitted.
         starts: Values of all unknowns, in their own units, shape (S, P).
         windows: How many samples of each run lie in a fraction of its time; None fits everything at once.
-        iterations: At most so many of everything.
 
     Returns:
         Where the starts ended.
@@ -152,21 +147,15 @@ def searched(
     internal = problem.coordinates.internal(starts[:, problem.estimated])
     return FitResult.of(
         problem,
-        solvers.levenberg_marquardt(
-            problem, internal, windows, iterations=iterations, tolerance=1e-2
-        ),
+        solvers.levenberg_marquardt(problem, internal, windows, tolerance=1e-2),
     )
 
 
-def first_guesses(problem: law.ContentsProblem, best: FitResult | None) -> np.ndarray:
-    """Values of all unknowns from which a model's search starts, shape (S, P); ``best`` is another model's fit, if there is one."""
-    guess = problem.base.copy()
-    for row, unknown in enumerate(problem.unknowns):
-        if best is not None and unknown in best.problem.unknowns:
-            guess[row] = best.value_of(unknown.key)
+def first_guesses(problem: law.ContentsProblem) -> np.ndarray:
+    """Values of all unknowns from which a model's search starts, shape (S, P)."""
     if not problem.inside:
-        return guess[None]
-    starts = np.tile(guess, (len(STARTS_KG), 1))
+        return problem.base[None]
+    starts = np.tile(problem.base, (len(STARTS_KG), 1))
     starts[:, problem.index["contents_mass"]] = STARTS_KG
     return starts
 
@@ -189,24 +178,23 @@ def fitted(
     """A model's search from all starts, and the best from there on, with held joints as the motion before moves them.
 
     Args:
-        problem: Of the model, with held joints as another's best fit moves them.
-        best: That fit, if there is one.
+        problem: Of the model.
+        best: The best fit of the models before it, if there is one.
 
     Returns:
         The first search's fit and the best one.
     """
-    starts = first_guesses(problem, best)
-    fits = [searched(problem, starts, problem.simulator.windows, ROUGH_ITERATIONS)]
+    fits = [searched(problem, first_guesses(problem), problem.simulator.windows)]
     while once_more(fits, best):
         problem = problem.with_runs(problem.held(fits[-1].values))
-        fits.append(searched(problem, fits[-1].values[None], None, ITERATIONS))
-    return [fits[0], min(fits[1:] or fits, key=lambda fit: fit.chi2)]
+        fits.append(searched(problem, fits[-1].values[None], None))
+    return [fits[0], min(fits, key=lambda fit: fit.chi2)]
 
 
 def all_fitted(
     robot: Robot, runs: Sequence[PreparedRun], facts: ContentsFacts, filled: Sequence[bool]
 ) -> list[list[FitResult]]:
-    """Each model's first fit and its best; each begins with the motions of held joints that the best one before it found.
+    """Each model's first fit and its best.
 
     Args:
         robot: The arm.
@@ -222,7 +210,6 @@ def all_fitted(
         fit = found[-1][1]
         if fit.reduced_chi2 < HOPELESS and (best is None or fit.chi2 < best.chi2):
             best = fit
-            runs = fit.problem.runs
     return found
 
 
