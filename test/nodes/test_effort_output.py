@@ -347,64 +347,87 @@ def test_the_state_is_told_at_rest_too(make: Any, monkeypatch: pytest.MonkeyPatc
     assert all(each.message == told[0].message for each in told)
 
 
-@pytest.mark.long
-def test_the_watchdog_publishes_when_the_node_is_silent_or_gone(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+class Listener:
+    """A controller's subscription, in a domain of its own."""
+
+    def __init__(self, topic: str) -> None:
+        self.topic = topic
+        self.heard: list[list[float]] = []
+        self._context = rclpy.Context()
+        rclpy.init(args=[], context=self._context)
+        self.node = rclpy.create_node("controller", context=self._context)
+        self._executor = SingleThreadedExecutor(context=self._context)
+        self._executor.add_node(self.node)
+
+    def listen(self) -> Any:
+        return self.node.create_subscription(
+            Float64MultiArray, self.topic, lambda message: self.heard.append(list(message.data)), 10
+        )
+
+    def has(self, wanted: list[float]) -> bool:
+        """Whether this came last."""
+        self._executor.spin_once(timeout_sec=0.05)
+        return self.heard[-1:] == [wanted]
+
+    def close(self) -> None:
+        self._executor.shutdown()
+        self.node.destroy_node()
+        rclpy.shutdown(context=self._context)
+
+
+@pytest.fixture
+def listener(monkeypatch: pytest.MonkeyPatch) -> Iterator[Listener]:
     monkeypatch.setenv("ROS_DOMAIN_ID", free_domain())
-    context = rclpy.Context()
-    rclpy.init(args=[], context=context)
-    node = rclpy.create_node("controller", context=context)
-    executor = SingleThreadedExecutor(context=context)
-    executor.add_node(node)
-    heard: list[list[float]] = []
-    topic = "/some_controller/commands"
-    node.create_subscription(
-        Float64MultiArray, topic, lambda message: heard.append(list(message.data)), 10
-    )
+    listener = Listener("/some_controller/commands")
+    yield listener
+    listener.close()
 
-    def says(wanted: list[list[float]]) -> bool:
-        executor.spin_once(timeout_sec=0.05)
-        return heard == wanted
 
-    watchdog = CommandWatchdog(topic)
-    try:
-        assert wait_for(lambda: node.count_publishers(topic) == 1 and watchdog.heard)
-        (publisher,) = node.get_publishers_info_by_topic(topic)
-        publisher.node_name = "_NODE_NAME_UNKNOWN_"  # as it is until the name comes
-        assert watchdog.is_publisher(publisher)
-        publisher.endpoint_gid = [0] * len(publisher.endpoint_gid)
-        assert not watchdog.is_publisher(publisher)
-        watchdog.update([1.0, 2.0])
-        assert wait_for(lambda: says([[1.0, 2.0]]) or len(heard) > 1), "it is silent"
-        watchdog.clear()
-        watchdog.update([3.0, 4.0])
-        watchdog.close()
-        assert wait_for(lambda: not says([]) and bool(heard) and heard[-1] == [3.0, 4.0]), (
-            "it is gone"
-        )
-        assert wait_for(lambda: not watchdog.alive)
-        other = CommandWatchdog(topic)
-        other.update([5.0, 6.0])
-        other.clear()
-        other.close()
-        assert wait_for(lambda: not other.alive)
-        for _ in range(20):  # what the first one holds is published again and again
-            executor.spin_once(timeout_sec=0.05)
-        assert [5.0, 6.0] not in heard, "who was cleared publishes nothing"
-        monkeypatch.setattr(command_watchdog, "FOUND_S", 0.0)
-        alone = CommandWatchdog("/nobody_listens/commands")
-        assert alone.alive
-        assert not alone.heard
-        listening = node.create_subscription(
-            Float64MultiArray, "/nobody_listens/commands", lambda _: None, 10
-        )
-        assert wait_for(lambda: alone.heard)
-        node.destroy_subscription(listening)
-        assert wait_for(lambda: not alone.heard), "the controller has gone"
-        alone.close()
-        assert wait_for(lambda: not alone.alive)
-    finally:
-        executor.shutdown()
-        node.destroy_node()
-        rclpy.shutdown(context=context)
+@pytest.mark.long
+def test_the_watchdog_publishes_when_the_node_is_silent_or_gone(listener: Listener) -> None:
+    listener.listen()
+    watchdog = CommandWatchdog(listener.topic)
+    node = listener.node
+    assert wait_for(lambda: node.count_publishers(listener.topic) == 1 and watchdog.heard)
+    (publisher,) = node.get_publishers_info_by_topic(listener.topic)
+    publisher.node_name = "_NODE_NAME_UNKNOWN_"  # as it is until the name comes
+    assert watchdog.is_publisher(publisher)
+    publisher.endpoint_gid = [0] * len(publisher.endpoint_gid)
+    assert not watchdog.is_publisher(publisher)
+    watchdog.update([1.0, 2.0])
+    assert wait_for(lambda: listener.has([1.0, 2.0])), "it is silent"
+    watchdog.clear()
+    watchdog.update([3.0, 4.0])
+    watchdog.close()
+    assert wait_for(lambda: listener.has([3.0, 4.0])), "it is gone"
+    assert wait_for(lambda: not watchdog.alive)
+
+
+@pytest.mark.long
+def test_a_watchdog_that_was_cleared_publishes_nothing(listener: Listener) -> None:
+    listener.listen()
+    watchdog = CommandWatchdog(listener.topic)
+    assert wait_for(lambda: watchdog.heard)
+    watchdog.update([5.0, 6.0])
+    watchdog.clear()
+    watchdog.close()
+    assert wait_for(lambda: not watchdog.alive)
+    for _ in range(20):
+        listener.has([])
+    assert listener.heard == []
+
+
+@pytest.mark.long
+def test_a_watchdog_knows_whether_anybody_listens(
+    listener: Listener, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(command_watchdog, "FOUND_S", 0.0)
+    watchdog = CommandWatchdog(listener.topic)
+    assert watchdog.alive
+    assert not watchdog.heard
+    subscription = listener.listen()
+    assert wait_for(lambda: watchdog.heard)
+    listener.node.destroy_subscription(subscription)
+    assert wait_for(lambda: not watchdog.heard), "the controller has gone"
+    watchdog.close()
+    assert wait_for(lambda: not watchdog.alive)
