@@ -196,9 +196,8 @@ class Choice(Form):
     """One of some words."""
 
     words: Sequence[str] = ()
-    units: Mapping[str, Unit] | None = (
-        None  # whose names the words are, where people write them otherwise, too
-    )
+    # whose names the words are, where people write them otherwise, too
+    units: Mapping[str, Unit] | None = None
 
     def read(self, value: Any) -> str:
         if self.units is not None and isinstance(value, str):

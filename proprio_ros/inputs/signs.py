@@ -21,9 +21,8 @@ _WRITTEN = {
 class Signs:
     """By what the effort of each joint is multiplied: -1 where it is counted against the joint's own direction."""
 
-    every: int | None = (
-        None  # of joints that are not named; None: not stated, so that it counts as it is
-    )
+    # of joints that are not named; None: not stated, so that it counts as it is
+    every: int | None = None
     joints: Mapping[str, int] = field(default_factory=dict)
 
     def of(self, joint: str) -> int:

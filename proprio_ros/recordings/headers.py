@@ -89,9 +89,8 @@ class Header:
 
     text: str  # as it is written
     kind: Kind | None = None  # None: nothing that is plain
-    joint: str = (
-        ""  # the name of a joint in plain letters, or its number; empty where it names none
-    )
+    # the name of a joint in plain letters, or its number; empty where it names none
+    joint: str = ""
     unit: HeaderUnit | None = None
     unknown_unit: str = ""  # what stands where a unit does, and is none of this kind
     # words of a joint's name that may as well be no part of it: `joint3` is the third joint where none is called so

@@ -28,9 +28,8 @@ YOUNGS_MODULUS, POISSONS_RATIO, BLOCK_VISCOSITY, GAP, BLOCK_LOSS = range(
     len(PARAMETERS), len(SQUEEZE_PARAMETERS)
 )
 LENGTH, AREA, TRAVEL, TABLE, BEND_2, BEND_3 = range(6)  # columns of ``SqueezeData.block``
-SLOWER = (
-    10.0  # the speed over which a block turns from squeezed to let go, over that of dry friction
-)
+# the speed over which a block turns from squeezed to let go, over that of dry friction
+SLOWER = 10.0
 RAMP = 1e-3  # s_r: relative squeeze over which the viscosity sets in
 
 

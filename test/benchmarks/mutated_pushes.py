@@ -429,9 +429,8 @@ class Tally:
     accepted: int = 0
     hold: int = 0
     far: int = 0
-    moved: int = (
-        0  # of those that are far, how many give an interval for zeros that moved, which holds
-    )
+    # of those that are far, how many give an interval for zeros that moved, which holds
+    moved: int = 0
     farthest: float = 0.0
     codes: dict[str, int] | None = None
     errors: list[float] = field(default_factory=list)  # [g]

@@ -19,14 +19,12 @@ OWN = 2  # directions of the state
 DIRECTIONS = 6  # with those of a servo's three numbers and a run's own
 STEPS = 2
 FINER = 16  # parts of a step that may bring a sliding joint to rest: friction turns over there
-STUCK = (
-    3.0  # a joint is that is slower than so many times the velocity over which friction is smoothed
-)
+# a joint is that is slower than so many times the velocity over which friction is smoothed
+STUCK = 3.0
 SHARE = 1.0 - 0.5**0.5  # of a step that each stage takes
 MOST_ITERATIONS = 50
-CLOSE = (
-    1e-7  # the last iteration's step, over the velocity and that over which friction is smoothed
-)
+# the last iteration's step, over the velocity and that over which friction is smoothed
+CLOSE = 1e-7
 
 
 @cache

@@ -81,9 +81,8 @@ class SqueezesUntilSure(Chooser):
     Raises `ConfigurationError`: The sequence has no `until`, or no run of its own.
     """
 
-    least_share = (
-        0.02  # the torque constant alone leaves +-9.9 %, so the last steps to 10 % are long
-    )
+    # the torque constant alone leaves +-9.9 %, so the last steps to 10 % are long
+    least_share = 0.02
     no_push = "no current moves the fingers far enough inside their limits: is the block between them, and are they free to move?"
 
     def __init__(

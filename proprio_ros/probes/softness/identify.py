@@ -69,9 +69,8 @@ from proprio_ros.sim.quasistatic import QuasiStatic
 ALIKE_SHARE = 0.15
 """Moduli that differ by less, or by less than they are known to, do not contradict each other: friction is not the same in each
 run, and it is as large as a soft block's force."""
-ALMOST_EXPLAINED = (
-    2.0  # reduced chi-square up to which one more squeeze moves a fit, and no search begins
-)
+# reduced chi-square up to which one more squeeze moves a fit, and no search begins
+ALMOST_EXPLAINED = 2.0
 UNTOUCHED = 3e-3  # relative squeeze below which a block was hardly pressed
 CRUSHED = 0.45  # relative squeeze beyond which no law of elasticity here is to be trusted
 SHOWN_SHAPES, SHOWN_CELLS, MOST_SHOWN_TETS = 6, 4, 2000
