@@ -1,4 +1,4 @@
-"""Median and extremes of a few neighbours: as `scipy.ndimage` has them, which takes longer to import than a push to weigh."""
+"""The median of a few neighbours: as `scipy.ndimage` has it, which takes longer to import than a push takes to weigh."""
 
 from __future__ import annotations
 
@@ -26,16 +26,3 @@ def running_median(
         width,
     )
     return np.partition(around, middle, axis=-1)[:, middle]
-
-
-def running_extremes(values: np.ndarray, width: int) -> tuple[np.ndarray, np.ndarray]:
-    """Least and largest of each sample and those around it, ``width`` together, shape (T,) each; beyond the ends they come back."""
-    low = np.pad(values, (width // 2, width - 1 - width // 2), mode="symmetric")
-    high = low
-    together = 1
-    while together < width:
-        on = min(together, width - together)
-        low = np.minimum(low[:-on], low[on:])
-        high = np.maximum(high[:-on], high[on:])
-        together += on
-    return low, high

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from proprio_ros.quantity import MAD_TO_STD
-from proprio_ros.recordings.medians import running_extremes, running_median
+from proprio_ros.recordings.medians import running_median
 from proprio_ros.records import BoolArray, FloatArray
 
 DENORMAL = 1e-30
@@ -108,8 +108,11 @@ def _stretches(
 
 def _turning(position: FloatArray, period_s: float) -> BoolArray:
     """Whether a joint turns, shape (T,)."""
-    low, high = running_extremes(position, max(3, round(TURNS_WITHIN_S / period_s)))
-    turning: BoolArray = high - low > TURNS_RAD
+    from scipy.ndimage import maximum_filter1d, minimum_filter1d
+
+    width = max(3, round(TURNS_WITHIN_S / period_s))
+    span = maximum_filter1d(position, width) - minimum_filter1d(position, width)
+    turning: BoolArray = span > TURNS_RAD
     return turning
 
 

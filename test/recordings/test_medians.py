@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy.ndimage import maximum_filter1d, median_filter, minimum_filter1d
+from scipy.ndimage import median_filter
 
-from proprio_ros.recordings.medians import running_extremes, running_median
+from proprio_ros.recordings.medians import running_median
 
 
 @pytest.mark.parametrize("width", [5, 7, 11])
@@ -25,13 +25,3 @@ def test_of_fewer_than_the_width() -> None:
     np.testing.assert_array_equal(
         running_median(values, 11), median_filter(values, 11, mode="nearest")
     )
-
-
-def test_extremes_are_scipys() -> None:
-    rng = np.random.default_rng(5)
-    for width in (3, 4, 7, 50, 101):
-        for samples in (1, 2, 40, 1000):
-            values = np.cumsum(rng.standard_normal(samples))
-            low, high = running_extremes(values, width)
-            assert np.array_equal(low, minimum_filter1d(values, width))
-            assert np.array_equal(high, maximum_filter1d(values, width))

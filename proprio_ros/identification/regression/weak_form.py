@@ -25,7 +25,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from proprio_ros.errors import RecordingError
-from proprio_ros.identification.regression.low_pass import EXTENDED, low_passed
 from proprio_ros.recordings.motions import LONGEST_GAP_S, Motion
 from proprio_ros.records import FloatArray
 from proprio_ros.robot import ReducedModel
@@ -228,6 +227,8 @@ def evenly(
 
     Raises `RecordingError`: There are too few samples.
     """
+    from scipy.signal import butter, filtfilt  # half of a second to import
+
     own = [motion.joints.index(name) if name in motion.joints else None for name in joints]
     period_s = float(np.median(np.diff(motion.times_s)))
     times_s = np.arange(
@@ -249,14 +250,14 @@ def evenly(
             current[:, number] = np.interp(
                 times_s, motion.times_s[known], motion.current_A[known, column]
             )
-    if len(times_s) <= EXTENDED:
-        raise RecordingError(f"{motion.name}: {len(times_s)} samples are too few for a motion")
-    share = min(2.0 * bandwidth_Hz * period_s, 0.9)
-    return (
-        times_s,
-        low_passed(position, share),
-        low_passed(current, share) if currents_too else current,
+    b, a = butter(
+        2,
+        min(2.0 * bandwidth_Hz * period_s, 0.9),
     )
+    if len(times_s) <= 3 * max(len(a), len(b)):
+        raise RecordingError(f"{motion.name}: {len(times_s)} samples are too few for a motion")
+    position = filtfilt(b, a, position, axis=0)
+    return times_s, position, filtfilt(b, a, current, axis=0) if currents_too else current
 
 
 def across_gaps(
