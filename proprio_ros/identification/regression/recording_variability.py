@@ -301,7 +301,9 @@ def by_own_spread(log_likelihood: FloatArray) -> FloatArray:
     highest = float(log_likelihood.max())
     common = _half_cauchy(np.array(FACTORS))
     likelihood = np.exp(log_likelihood - highest).reshape(len(FACTORS), -1)
-    result: FloatArray = np.log(common @ likelihood / common.sum()) + highest
+    mean = common @ likelihood / common.sum()
+    # a spread that is out of the question may be less likely than any number says
+    result: FloatArray = np.log(np.maximum(mean, np.finfo(np.float64).tiny)) + highest
     return result
 
 
