@@ -114,6 +114,12 @@ class Conclusion:
         """The run that contradicts the others; None: they agree."""
         return contradicting(Posterior(self.opened.problem, self.opened.values))
 
+    @property
+    def contradiction(self) -> RunComparison | None:
+        """The comparison of a run that says another value than the others, as `compare_runs` found it; None: they agree."""
+        found = self.comparison
+        return found if found is not None and found.contradicts else None
+
     def compared_with_others(self, outlier: int) -> RunComparison:
         """What a run says that the others predict badly."""
         return RunComparison(f"{self.runs[outlier].run.name} contradicts the other runs")
@@ -270,11 +276,12 @@ class Conclusion:
                 f"{unsimulated}: {self.check}",
             )
         yield from self.against
-        if self.comparison is not None and self.comparison.contradicts:
+        contradiction = self.contradiction
+        if contradiction is not None:
             yield rejected(
                 "runs_contradict",
                 "the runs contradict each other",
-                self.comparison.sentence,
+                contradiction.sentence,
             )
         yield from self.refusals()
         width_limit = self.width_limit()

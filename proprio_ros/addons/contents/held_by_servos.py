@@ -95,9 +95,8 @@ class Needs:
 
     load: FloatArray  # where it is held [N m], shape (T,)
     still: float  # before anything moves [N m]
-    slopes: (
-        FloatArray  # the load's mean change by its position, velocity and acceleration, shape (3,)
-    )
+    # the load's mean change by its position, velocity and acceleration, shape (3,)
+    slopes: FloatArray
 
 
 @dataclass(frozen=True)

@@ -29,7 +29,10 @@ CLOSE = 1e-7
 
 @cache
 def implicit_rollout(stribeck: bool) -> Any:
-    """The kernel for runs that are looked at where their input changes, and nowhere else (thread = world)."""
+    """The kernel for runs that are looked at where their input changes, and nowhere else (thread = world).
+
+    A simulator launches it in the place of `rollout_kernels.rollout`, so its arguments are the same.
+    """
     law = joint_law(DIRECTIONS, stribeck)
     rates, record = law.rates, law.record
     vec = wp.types.vector(length=DIRECTIONS, dtype=FLOAT)

@@ -522,15 +522,15 @@ class OnlineEstimator:
         onset_s = self._filter.onset(STEP_SIGMAS if fresh is None else STAY_SIGMAS)
         if onset_s is None:
             self._dismiss()
-        elif fresh is None:
+            return
+        if fresh is None:
             self._told_until_s = self._looked_s + TOLD_S
             self._fresh = _FreshChange(onset_s, self._filter.after(onset_s), self._changed_at_s)
         elif onset_s == fresh.onset_s:
             fresh.filter.step(window)
         else:
             self._fresh = replace(fresh, onset_s=onset_s, filter=self._filter.after(onset_s))
-        if onset_s is not None:
-            self._changed_at_s = onset_s
+        self._changed_at_s = onset_s
 
     def _confirm(self, fresh: _FreshChange, window: _Window) -> None:
         """The change stands: go on from it, and look for the next."""

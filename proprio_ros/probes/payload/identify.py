@@ -325,11 +325,7 @@ def _blocking_run(weighed: Weighed, estimate: Estimate, usable: _Usable) -> Run 
         if isinstance(reason, Reason) and reason.code == "stamps_off"
     }
     rows = [row for row, run in enumerate(usable.runs) if run.run.name in off]
-    if (
-        weighed.outlier is not None
-        and weighed.comparison is not None
-        and weighed.comparison.contradicts
-    ):
+    if weighed.outlier is not None and weighed.contradiction is not None:
         rows.append(weighed.outlier)
     # a push that came late for a stall: only with another onset of its own is it followed
     own = [
