@@ -316,7 +316,7 @@ def _of_nodes_and_users() -> list[Question]:
     untrue = kept("schedules")["tables"]["kinds"]["rows"][-1]["faults"]
     fit = _speed_row("ours", "ours: five-start fit")
     fresh = _speed_row("fresh", "proprio replay --json")
-    hostile = numbers("hostile", "hostile", wrong="all")
+    hostile = numbers("pendant", "hostile", wrong="all")
     idle, *_ = kept("pendant")["tables"]["idle"]["rows"]
     return [
         (
