@@ -1,6 +1,6 @@
 """Draws docs/pages/pendant_arm.png and pendant_arm_dark.png: `PYTHONPATH=test python docs/pendant_picture.py [CALIBRATED]`.
 
-It needs the extras ros, sim and pendant, and Chromium. A virtual arm is calibrated and weighs 50 g by clicks, two to three minutes;
+It needs the extras ros, sim and pendant, and Chromium. A virtual arm is calibrated and weighs 50 g by clicks, a minute;
 CALIBRATED is a home folder in which it was before.
 """
 
@@ -12,7 +12,7 @@ import tempfile
 from pathlib import Path
 
 from support.live import UP_S, wait_for
-from support.pendant import Shown, ask, pendant
+from support.pendant import ELBOW, Shown, answered, pendant
 from support.tab import Tab, browser
 
 PAGES = Path(__file__).resolve().parent / "pages"
@@ -20,23 +20,15 @@ WIDTH_PX, HEIGHT_PX = 1200, 810
 DRAWN_S = 5.0
 
 
-def does(tab: Tab, title: str) -> None:
-    """A task of the wizard, until it is answered."""
-    tab.click("Wizard")
-    ask(tab, title)
-    tab.click("Start")
-    tab.click("Begin")
-    tab.shows(f"{title}: ")
-    assert wait_for(lambda: f"{title}: " not in tab.text, UP_S)
-
-
 def draw(shown: Shown, tab: Tab, calibrated: bool) -> None:
     """Weigh, and take the picture."""
     assert wait_for(lambda: "[identifier]: ready" in shown.told, UP_S)
     tab.look(WIDTH_PX, HEIGHT_PX)
     tab.open(shown.address.replace("/?", "/wizard?"))
-    for title in ["Weigh an object"] if calibrated else ["Calibrate the arm", "Weigh an object"]:
-        does(tab, title)
+    if not calibrated:
+        answered(tab, "Calibrate the arm", ELBOW)
+    answer = answered(tab, "Weigh an object", ELBOW)
+    assert "accepted" in answer, answer
     tab.click("Arm")
     tab.until("!!document.querySelector('.scene canvas')")
     for name in ("pendant_arm", "pendant_arm_dark"):

@@ -26,7 +26,7 @@ from idle import TICKS, cpu_s
 from results import REPOSITORY, Results, parser_of
 from support.domains import free_domain
 from support.hostile import hostile, is_refused, status_of
-from support.pendant import Shown, ask, pendant
+from support.pendant import ELBOW, Shown, answered, pendant
 from support.tab import Browser, Tab, browser
 from support.waiting import wait_for
 
@@ -44,7 +44,6 @@ MOVES = re.compile(r'\\?"move\\?"')
 REST_S = 0.5
 ONE_FRAME_S = 0.02
 """What a page is told within so long is one picture, and whoever is told nothing for longer stands still."""
-ELBOW = "the elbow alone"
 CLICKED = (
     ("Calibrate the arm", ELBOW),
     ("Weigh an object", ELBOW),
@@ -72,22 +71,6 @@ def memory_mb(process: int) -> float:
 def opened(process: int) -> int:
     """Files, pipes and sockets of a process."""
     return len(os.listdir(f"/proc/{process}/fd"))
-
-
-def does(tab: Tab, title: str, pushes: str = "") -> str:
-    """A task of the wizard by clicks, until it is answered; what the page shows."""
-    tab.click("Wizard")
-    ask(tab, title)
-    if pushes:
-        tab.choose("Pushes", pushes)
-    tab.click("Start")
-    tab.click("Begin")
-    shown = "document.querySelector('.progress .hand')?.innerText"
-    tab.until(
-        f"[...document.querySelectorAll('.progress .title')].some((it) => it.innerText.startsWith('{title}:'))"
-    )
-    assert wait_for(lambda: tab.does(shown), LONG_S), tab.text
-    return " ".join(str(tab.does(shown)).split())
 
 
 class Stages:
@@ -189,7 +172,7 @@ def first_weighing(results: Results, window: Browser, folder: Path, install: boo
         assert wait_for(lambda: "[identifier]: ready" in shown.told, LONG_S), shown.told
         end("kernels are compiled")
         for title, pushes in CLICKED:
-            end(f"{title}: {pushes or 'all'}", does(tab, title, pushes))
+            end(f"{title}: {pushes or 'all'}", answered(tab, title, pushes))
         tab.close()
 
 
@@ -235,7 +218,7 @@ def idle(results: Results, shown: Shown, window: Browser, seconds: float) -> Non
         if "weighing" in what:
             other = window.tab()
             other.open(shown.address.replace("/?", "/wizard?"))
-            does(other, "Weigh an object")
+            answered(other, "Weigh an object")
             other.click("Give up")
             other.close()
             tab.does("true")
@@ -282,7 +265,7 @@ def used(results: Results, shown: Shown, window: Browser, told: Path, hours: flo
             tab.open(shown.address.replace("/?", f"{PAGES[number % len(PAGES)]}?"))
             opened_pages += 1
             if number % (OPENED_EACH_H // CALLED_EACH_H) == 1:
-                does(tab, "Weigh the last seconds")
+                answered(tab, "Weigh the last seconds")
                 tab.click("Give up")
                 called += 1
             tab.close()

@@ -30,6 +30,8 @@ PATIENT: dict[str, dict[str, Any]] = {
     "excitation": {"stale_after": 4.0},
 }
 """Nobody here may take a late message for silence."""
+ELBOW = "the elbow alone"
+"""The shortest of the pushes that a task of the wizard offers."""
 CLI = (sys.executable, "-m", "proprio_ros.cli")
 _OPEN = re.compile(r"open (http\S+)")
 
@@ -115,6 +117,30 @@ def ask(tab: Tab, title: str) -> None:
     for each in ("Which arm", title):
         tab.click(each)
         tab.until(f"document.querySelector('[aria-label=Task] .title').innerText === '{each}'")
+
+
+def answered(tab: Tab, title: str, pushes: str = "") -> str:
+    """A task of the wizard by clicks, until it is answered.
+
+    Args:
+        tab: Any page of the pendant.
+        title: Of the task.
+        pushes: Which are chosen; empty: those that the form has.
+
+    Returns:
+        What the page shows as the answer, in one line.
+    """
+    tab.click("Wizard")
+    ask(tab, title)
+    if pushes:
+        tab.choose("Pushes", pushes)
+    tab.click("Start")
+    tab.click("Begin")
+    titles = "[...document.querySelectorAll('.progress .title')]"
+    tab.until(f"{titles}.some((it) => it.innerText.startsWith('{title}:'))")
+    answer = "document.querySelector('.progress .hand')?.innerText"
+    assert wait_for(lambda: tab.does(answer), LONG_S), tab.text
+    return " ".join(str(tab.does(answer)).split())
 
 
 class Desk:
