@@ -457,6 +457,11 @@ IDENTIFIER = (
 
 VIRTUAL = (
     ROBOT,
+    Parameter(
+        "real_time",
+        False,
+        "Whether the arm and its servos take a real-time class, since hardware waits for no program: for one arm, not for ten.",
+    ),
     Parameter("link", DEFAULT_LINK, "Path under which the servo bus appears; the driver's `port`."),
     Parameter(
         "interface",

@@ -51,7 +51,7 @@ class VirtualNode(ManagedNode):
 
     parameters = VIRTUAL
 
-    urgent = True  # servos do not wait for other programs either
+    urgent = True
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("virtual", **kwargs)
@@ -59,6 +59,11 @@ class VirtualNode(ManagedNode):
         self._thread: clock.Thread | None = None
         self._hand = "any"
         self._content_is_out = False
+
+    @property
+    def real_time(self) -> bool:
+        # hardware waits for no program; but ten virtual arms in real time would leave nothing to anybody
+        return bool(self.values["real_time"])
 
     def configure(self) -> None:
         import_mujoco()  # takes a second, which none of the nodes has once it is active

@@ -111,7 +111,8 @@ def running(
     """The nodes (default all four), up and talking; parameters by node."""
     names = nodes or ("virtual", "driver", "excitation", "identifier")
     defaults: dict[str, dict[str, Any]] = {
-        "virtual": {"link": folder / "bus", "seed": 1},
+        # it stands for hardware, which waits for none of the programs that run beside a test
+        "virtual": {"link": folder / "bus", "seed": 1, "real_time": True},
         "driver": {"port": folder / "bus"},
         "excitation": {},
         "identifier": {"data_directory": folder / "data", "calibration": "none"},
