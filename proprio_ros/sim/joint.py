@@ -180,9 +180,15 @@ class JointSimulator:
 
     def usual_kernels(self) -> list[Any]:
         """All that fits of this law may need, as `compile_kernels` compiles them ahead."""
-        most = next(size for size in self.tangent_sizes if size >= len(self.parameters))
-        sizes = [size for size in self.tangent_sizes if size <= most]
-        return [self.kernel_of(*kind) for kind in kinds_of_kernel(sizes, True)]
+        return [self.kernel_of(*kind) for kind in kinds_of_kernel(self.usual_sizes(), True)]
+
+    @classmethod
+    def usual_sizes(cls) -> list[int]:
+        """Of ``tangent_sizes`` those that fits need: up to the first that has room for all parameters, where one has."""
+        # more directions than parameters come only from callers of their own
+        enough = [size for size in cls.tangent_sizes if size >= len(cls.parameters)]
+        most = enough[0] if enough else cls.tangent_sizes[-1]
+        return [size for size in cls.tangent_sizes if size <= most]
 
     def kernel_of(self, size: int, stribeck: bool) -> Any:
         """The walk through time of what `law_of` gives."""
@@ -314,12 +320,8 @@ def compile_kernels(integrator: str = "rk4", *, rises: bool = True) -> None:
 
     Where the robot's friction may rise towards standstill (``rises``), they are nearly as many again.
     """
-    # more directions than parameters come only from callers of their own
-    sizes = [size for size in _TANGENT_SIZES if size <= _size_of(len(PARAMETERS))]
-    runtime.load(
-        [rollout(joint_law(*kind), integrator) for kind in kinds_of_kernel(sizes, rises)],
-        "cpu",
-    )
+    kinds = kinds_of_kernel(JointSimulator.usual_sizes(), rises)
+    runtime.load([rollout(joint_law(*kind), integrator) for kind in kinds], "cpu")
 
 
 def kinds_of_kernel(

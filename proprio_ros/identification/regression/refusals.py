@@ -352,9 +352,8 @@ def interval_too_wide(
     width_limit: WidthLimit,
     mass_kg: float,
     half_kg: float,
-    parts: Sequence[tuple[str, float]],
-    name: str = "",
-    advice: str = "",
+    advice: str,
+    motion: str = "this motion",
 ) -> Iterator[Refusal]:
     """Where the interval of a mass is wider than is useful.
 
@@ -362,19 +361,16 @@ def interval_too_wide(
         width_limit: How wide it may be.
         mass_kg: That was found [kg].
         half_kg: Half width of its interval [kg].
-        parts: What puts how much on it, by name.
-        name: Of the recording and a colon, before the sentence.
-        advice: After the sentence.
+        advice: What would narrow it.
+        motion: What is said to determine the mass.
     """
     if width_limit.exceeded_by(mass_kg, half_kg):
-        most, _ = max(parts, key=lambda part: part[1])
-        half = shown(
-            "kg",
-            min(half_kg, 1e6),
-            spec=".0f",
-        )
-        sentence = (
-            f"{name}this motion determines the mass only to +-{half}; what it errs by most: "
-            f"{most}{advice}"
-        )
+        half = shown("kg", min(half_kg, 1e6), spec=".0f")
+        sentence = f"{motion} determines the mass only to +-{half}: {advice}"
         yield wide(width_limit, sentence)
+
+
+def errs_most_by(parts: Sequence[tuple[str, float]]) -> str:
+    """Of what puts how much on a mass, by name: the largest, in words."""
+    most, _ = max(parts, key=lambda part: part[1])
+    return f"it errs most by {most}"

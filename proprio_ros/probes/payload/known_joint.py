@@ -16,6 +16,7 @@ from proprio_ros.identification.regression.one_joint_known import (
     identify_by_joint,
 )
 from proprio_ros.identification.regression.refusals import (
+    errs_most_by,
     interval_too_wide,
     lighter_than_empty,
 )
@@ -106,15 +107,17 @@ def _refusals(
     yield from lighter_than_empty(
         fit.mass, half, "check the URDF's masses and the loads of the calibration"
     )
+    advice = (
+        f"{errs_most_by(fit.parts)}; lift and lower the load, faster and for longer than the "
+        f"{STRETCH_S * fit.stretches:.0f} s used here"
+    )
     worse = fit.residual / calibration.residual
-    advice = ""
     if worse > WORSE:
-        advice = (
+        advice += (
             f"; it is explained {worse:.1f} times worse than the motions of its calibration: are goals late or cut off, or was the "
             "servo set otherwise?"
         )
-    advice += f"; lift and lower the load, faster and for longer than the {STRETCH_S * fit.stretches:.0f} s used here"
     # a mass at the end of what was looked for may be any
     width_limit = replace(LIMIT_OF_ONE_JOINT, share=0.0) if fit.at_the_end else LIMIT_OF_ONE_JOINT
-    yield from interval_too_wide(width_limit, fit.mass, half, fit.parts, f"{motion.name}: ", advice)
+    yield from interval_too_wide(width_limit, fit.mass, half, advice, f"{motion.name}: this motion")
     yield from outside(joint, fit.mass, calibration.loads_kg.tolist(), COVERED)

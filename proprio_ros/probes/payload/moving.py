@@ -33,7 +33,6 @@ from proprio_ros.identification.judge import (
     not_identifiable,
     positive,
     rejected,
-    wide,
 )
 from proprio_ros.identification.reasons import Reason
 from proprio_ros.identification.regression import refusals
@@ -584,7 +583,6 @@ def _louder(fit: MotionFit) -> str:
 
 def _too_wide(fit: MotionFit, by_goals: bool) -> Iterator[Refusal]:
     """Why an answer that nothing else speaks against is not accepted; ``by_goals``: whether its torques are made of goals."""
-    half = fit.half_width
     width_limit = limit_in_motion(fit.arm_kg)
     cure = (
         f"move faster and through more attitudes of the hand, longer than the {STRETCH_S * fit.stretches:.0f} s used here, and "
@@ -593,11 +591,7 @@ def _too_wide(fit: MotionFit, by_goals: bool) -> Iterator[Refusal]:
     if by_goals:
         width_limit = limit_by_goals(fit.arm_kg)
         cure = "keep the computer that hands goals on free, weigh again, and calibrate with a reference as heavy as the load"
-    if width_limit.exceeded_by(float(fit.values[0]), half):
-        sentence = (
-            f"this motion determines the mass only to +-{shown('kg', half, spec='.0f')}: {cure}"
-        )
-        yield wide(width_limit, sentence)
+    return refusals.interval_too_wide(width_limit, float(fit.values[0]), fit.half_width, cure)
 
 
 def _assumptions(

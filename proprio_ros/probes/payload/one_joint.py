@@ -28,6 +28,7 @@ from proprio_ros.identification.regression.one_joint_fit import (
 )
 from proprio_ros.identification.regression.refusals import (
     UNEXPLAINED_SHARE,
+    errs_most_by,
     interval_too_wide,
     lighter_than_empty,
     unlike_urdf,
@@ -329,7 +330,9 @@ def _mass_refusals(
     half = fit.quantile * weighed.std
     advice = "check the URDF's masses, or are the recordings mixed up?"
     yield from lighter_than_empty(weighed.mass, half, advice)
-    yield from interval_too_wide(LIMIT_OF_ONE_JOINT, weighed.mass, half, weighed.parts)
+    yield from interval_too_wide(
+        LIMIT_OF_ONE_JOINT, weighed.mass, half, errs_most_by(weighed.parts)
+    )
 
 
 def _estimate(

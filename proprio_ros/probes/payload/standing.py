@@ -12,18 +12,19 @@ from proprio_ros.calibration_files.motions import MotionCalibration
 from proprio_ros.errors import TooLittleMotion
 from proprio_ros.identification.chance import beyond_chance
 from proprio_ros.identification.estimate import Estimate, Fit, limit_in_motion
-from proprio_ros.identification.judge import Refusal, judge, positive, rejected, wide
+from proprio_ros.identification.judge import Refusal, judge, positive, rejected
 from proprio_ros.identification.regression.at_rest import RestFit, fit_at_rest
 from proprio_ros.identification.regression.motion_equations import Arm
 from proprio_ros.identification.regression.motion_fit import MotionFit, fit_payload
 from proprio_ros.identification.regression.refusals import (
     APART_SIGMAS,
+    interval_too_wide,
     lighter_than_empty,
     unlike_urdf,
 )
 from proprio_ros.identification.regression.scale_in_motion import other_gain
 from proprio_ros.probes.payload.moving import drift, motion_answer
-from proprio_ros.quantity import Z95, shown
+from proprio_ros.quantity import Z95
 from proprio_ros.recordings.motions import Motion
 from proprio_ros.robot import Robot
 from proprio_ros.sim.payload import PayloadFacts
@@ -113,11 +114,10 @@ def _refusals(
 
 
 def _too_wide(fit: RestFit, arm_kg: float) -> Iterator[Refusal]:
-    half = Z95 * fit.std_kg
-    width_limit = limit_in_motion(arm_kg)
-    if width_limit.exceeded_by(fit.mass_kg, half):
-        sentence = (
-            f"so little motion determines the mass only to +-{shown('kg', half, spec='.0f')}: hold the arm in more poses, each "
-            "reached from above and from below, or let it move for 15 s"
-        )
-        yield wide(width_limit, sentence)
+    return interval_too_wide(
+        limit_in_motion(arm_kg),
+        fit.mass_kg,
+        Z95 * fit.std_kg,
+        "hold the arm in more poses, each reached from above and from below, or let it move for 15 s",
+        motion="so little motion",
+    )
