@@ -91,83 +91,104 @@ def robots(root: Path) -> Iterator[tuple[str, list[Path]]]:
     yield from found.items()
 
 
-def answers(roots: list[Path]) -> Iterator[tuple[str, dict[str, Any]]]:
+KINDS = (
+    "empty_",
+    "squeeze_empty_",
+    "fixed_",
+    "container_no_sphere",
+    "container_sphere",
+    "squeeze_",
+)
+"""What names of recordings begin with, after their session's."""
+Named = tuple[str, dict[str, Any]]
+
+
+class Session:
+    """The recordings of one simulated robot.
+
+    Attributes:
+        here: What names of its answers begin with.
+        stem: A folder's name without the session's.
+        pick: Folders by kind.
+        calibrated: Words that name its calibration, once there is one.
+    """
+
+    def __init__(self, here: str, session: str, folders: list[Path]) -> None:
+        self.here = here
+        self.stem = {folder: folder.name.removeprefix(f"{session}_") for folder in folders}
+        self.pick = {
+            kind: [folder for folder in folders if self.stem[folder].startswith(kind)]
+            for kind in KINDS
+        }
+        self.calibrated: list[str] = []
+
+    def calibrate(self, scratch: str) -> Iterator[Named]:
+        """The calibration, and its file without the date and without the folder that it lies in."""
+        calibration = Path(scratch) / "calibration.yaml"
+        empty = [bag_of(folder) for folder in (*self.pick["empty_"], *self.pick["squeeze_empty_"])]
+        if len(empty) <= 3:
+            return
+        yield (
+            f"{self.here}/calibrate",
+            answer(["calibrate", *empty, "--output", str(calibration)]),
+        )
+        if calibration.exists():
+            self.calibrated = ["--calibration", str(calibration)]
+            # its first lines name the date
+            text = re.sub(r"^#.*\n", "", calibration.read_text(), flags=re.MULTILINE)
+            yield f"{self.here}/calibration file", {"text": text.replace(scratch, "")}
+
+    def payloads(self) -> Iterator[Named]:
+        """Fixed objects and empty hands, without and with the calibration; heavy balls together, too."""
+        for folder in (*self.pick["fixed_"], *self.pick["empty_"]):
+            words = replay_words([folder], "payload")
+            yield f"{self.here}/{self.stem[folder]}", answer(words)
+            if self.calibrated:
+                yield (
+                    f"{self.here}/{self.stem[folder]} calibrated",
+                    answer([*words, *self.calibrated]),
+                )
+        pooled = [folder for folder in self.pick["fixed_"] if "heavy_ball" in folder.name]
+        if len(pooled) > 1:
+            words = replay_words(pooled, "payload")
+            yield f"{self.here}/heavy balls together", answer([*words, *self.calibrated])
+
+    def containers(self) -> Iterator[Named]:
+        """Spheres in a container, with the empty one beside them."""
+        baseline = [bag_of(folder) for folder in self.pick["container_no_sphere"]]
+        for folder in self.pick["container_sphere"]:
+            words = [*replay_words([folder], "container"), *self.calibrated]
+            yield f"{self.here}/{self.stem[folder]}", answer([*words, "--baseline", *baseline])
+
+    def blocks(self) -> Iterator[Named]:
+        """Blocks that were squeezed."""
+        for folder in self.pick["squeeze_"]:
+            if folder not in self.pick["squeeze_empty_"] and self.stem[folder] != "squeeze_empty":
+                words = [*replay_words([folder], "softness"), *self.calibrated]
+                yield f"{self.here}/{self.stem[folder]}", answer(words)
+
+
+def replay_words(folders: list[Path], probe: str) -> list[str]:
+    """``replay`` of recordings of one object, with what is known of it."""
+    return [
+        "replay",
+        *map(bag_of, folders),
+        "--probe",
+        probe,
+        *facts_of(folders[0]),
+    ]
+
+
+def answers(roots: list[Path]) -> Iterator[Named]:
     """A name and an answer for each recording, and for each robot's calibration."""
     for root in roots:
-        for session, folders in robots(root):
-            here = f"{root.name}/{session}"
-            stem = {folder: folder.name.removeprefix(f"{session}_") for folder in folders}
-            pick = {
-                kind: [folder for folder in folders if stem[folder].startswith(kind)]
-                for kind in (
-                    "empty_",
-                    "squeeze_empty_",
-                    "fixed_",
-                    "container_no_sphere",
-                    "container_sphere",
-                    "squeeze_",
-                )
-            }
+        for name, folders in robots(root):
+            session = Session(f"{root.name}/{name}", name, folders)
             with tempfile.TemporaryDirectory() as scratch:
-                calibration = str(Path(scratch) / "calibration.yaml")
-                empty = [bag_of(folder) for folder in (*pick["empty_"], *pick["squeeze_empty_"])]
-                calibrated: list[str] = []
-                if len(empty) > 3:
-                    yield (
-                        f"{here}/calibrate",
-                        answer(["calibrate", *empty, "--output", calibration]),
-                    )
-                    if Path(calibration).exists():
-                        calibrated = ["--calibration", calibration]
-                        # its first lines name the date
-                        text = re.sub(
-                            r"^#.*\n", "", Path(calibration).read_text(), flags=re.MULTILINE
-                        )
-                        yield f"{here}/calibration file", {"text": text.replace(scratch, "")}
-                for folder in (*pick["fixed_"], *pick["empty_"]):
-                    words = [
-                        "replay",
-                        bag_of(folder),
-                        "--probe",
-                        "payload",
-                        *facts_of(folder),
-                    ]
-                    yield f"{here}/{stem[folder]}", answer(words)
-                    if calibrated:
-                        yield f"{here}/{stem[folder]} calibrated", answer([*words, *calibrated])
-                pooled = [folder for folder in pick["fixed_"] if "heavy_ball" in folder.name]
-                if len(pooled) > 1:
-                    words = [
-                        "replay",
-                        *map(bag_of, pooled),
-                        "--probe",
-                        "payload",
-                        *facts_of(pooled[0]),
-                        *calibrated,
-                    ]
-                    yield f"{here}/heavy balls together", answer(words)
-                baseline = [bag_of(folder) for folder in pick["container_no_sphere"]]
-                for folder in pick["container_sphere"]:
-                    words = [
-                        "replay",
-                        bag_of(folder),
-                        "--probe",
-                        "container",
-                        *facts_of(folder),
-                        *calibrated,
-                    ]
-                    yield f"{here}/{stem[folder]}", answer([*words, "--baseline", *baseline])
-                for folder in pick["squeeze_"]:
-                    if folder not in pick["squeeze_empty_"] and stem[folder] != "squeeze_empty":
-                        words = [
-                            "replay",
-                            bag_of(folder),
-                            "--probe",
-                            "softness",
-                            *facts_of(folder),
-                            *calibrated,
-                        ]
-                        yield f"{here}/{stem[folder]}", answer(words)
+                yield from session.calibrate(scratch)
+                yield from session.payloads()
+                yield from session.containers()
+                yield from session.blocks()
         text = root / "paper_heavy_ball"
         for profile in ("default", "paper") if text.is_dir() else ():
             yield (

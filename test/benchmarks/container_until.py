@@ -19,6 +19,7 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from multiprocessing import Pool
 from pathlib import Path
+from typing import Any
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 os.environ.setdefault("OMP_NUM_THREADS", "1")
@@ -30,7 +31,7 @@ from spheres import FACTS, Boxed, box, drawn
 from until_sure import Bench, calibrated, endings
 
 from proprio_ros.errors import ProprioError
-from proprio_ros.excitation.plans import Until, load_sequence
+from proprio_ros.excitation.plans import ExcitationSequence, Until, load_sequence
 from proprio_ros.identification.estimate import Estimate
 from proprio_ros.probes.container.choosing import SphereUntilSure
 from proprio_ros.probes.container.identify import find_sphere, half_of
@@ -93,40 +94,73 @@ def answer_of(
     )
 
 
-def one_case(
-    robot: Robot,
-    hidden: HiddenRobot,
-    baseline: Sequence[Run],
-    sphere: Boxed,
-    reference: str,
-    until: Until,
-    seed: int,
-    with_fixed: bool,
-) -> Case:
-    mass, options = sphere.sphere_kg, ContainerOptions()
-    fixed = load_sequence("container", robot)
-    sequence = replace(load_sequence("container_until", robot), until=until)
+@dataclass(frozen=True)
+class Asked:
+    """A calibrated robot with a sphere in its hand.
 
+    Attributes:
+        baseline: Its runs with an empty box.
+        reference: What it was calibrated with.
+    """
+
+    seed: int
+    robot: Robot
+    hidden: HiddenRobot
+    baseline: Sequence[Run]
+    sphere: Boxed
+    reference: str
+    until: Until
+
+    @property
+    def sequence(self) -> ExcitationSequence:
+        """The pushes to choose from."""
+        return replace(load_sequence("container_until", self.robot), until=self.until)
+
+    def bench(self, sequence: ExcitationSequence, stream: int) -> Bench:
+        """Where pushes are made, with noise of their own for each stream."""
+        noise = np.random.default_rng([self.seed, round(1e6 * self.sphere.sphere_kg), stream])
+        return Bench(self.hidden, sequence, noise)
+
+    def find(self, runs: Sequence[Run]) -> Estimate:
+        """The sphere by so many runs."""
+        return find_sphere(self.robot, runs, FACTS, ContainerOptions(), self.baseline)
+
+
+@dataclass(frozen=True)
+class Chosen:
+    """The pushes that were chosen one by one, until sure.
+
+    Attributes:
+        time_s: The arm's time for them [s].
+        decided_s: The processor's time for each decision [s]; the last one ended it.
+        std_kg: What the last decision promised [kg].
+    """
+
+    estimate: Estimate
+    runs: int
+    time_s: float
+    decided_s: tuple[float, ...]
+    ended_by: str
+    std_kg: float
+
+
+def push_until_sure(asked: Asked) -> Chosen:
+    """Chooses pushes one by one until the target is met, or none helps."""
     found: dict[int, Estimate] = {}
 
     def find(runs: Sequence[Run]) -> Estimate:
         if len(runs) not in found:
-            found[len(runs)] = find_sphere(
-                robot,
-                runs,
-                FACTS,
-                options,
-                baseline,
-            )
+            found[len(runs)] = asked.find(runs)
         return found[len(runs)]
 
-    bench = Bench(
-        hidden,
-        sequence,
-        np.random.default_rng([seed, round(1e6 * mass), 2]),
-    )
+    bench = asked.bench(asked.sequence, 2)
     chooser = SphereUntilSure(
-        robot, FACTS, options, sequence, baseline, lambda runs: half_of(find(runs))
+        asked.robot,
+        FACTS,
+        ContainerOptions(),
+        asked.sequence,
+        asked.baseline,
+        lambda runs: half_of(find(runs)),
     )
     runs: list[Run] = []
     decided: list[float] = []
@@ -136,29 +170,78 @@ def one_case(
         decided.append(time.process_time() - began)
         if decision.run is None:
             break
-        runs += bench.push(decision.run, sphere)
-    estimate = find(runs)
-    error, half = answer_of(estimate, mass)
-    # the fixed sequence, again and again
-    other = Bench(
-        hidden,
-        fixed,
-        np.random.default_rng([seed, round(1e6 * mass), 3]),
+        runs += bench.push(decision.run, asked.sphere)
+    return Chosen(
+        find(runs),
+        len(runs),
+        bench.time_s,
+        tuple(decided),
+        decision.ended_by,
+        chooser.found.std,
     )
-    follower = SphereUntilSure(robot, FACTS, options, sequence, baseline)
+
+
+@dataclass(frozen=True)
+class Fixed:
+    """The fixed sequence, again and again; error and half interval [kg] are nan where it was not asked."""
+
+    time_s: float
+    reached: bool
+    error: float
+    half: float
+
+
+def repeat_fixed(asked: Asked, std_kg: float, wanted: bool) -> Fixed:
+    """Makes the fixed sequence until it is as sure, or `FIXED_AT_MOST` runs are made.
+
+    Args:
+        asked: Who makes it, and of what.
+        std_kg: The standard deviation to reach [kg].
+        wanted: Whether it is made at all.
+    """
+    fixed = load_sequence("container", asked.robot)
+    bench = asked.bench(fixed, 3)
+    follower = SphereUntilSure(
+        asked.robot, FACTS, ContainerOptions(), asked.sequence, asked.baseline
+    )
     made: list[Run] = []
     reached = False
-    found.clear()
-    while with_fixed and not reached and len(made) < FIXED_AT_MOST:
+    while wanted and not reached and len(made) < FIXED_AT_MOST:
         for probe in fixed.runs:
-            made += other.push(probe, sphere)
-        reached = follower.learn(made).std <= chooser.found.std
-    fixed_error, fixed_half = answer_of(find(made), mass) if made else (float("nan"), float("nan"))
+            made += bench.push(probe, asked.sphere)
+        reached = follower.learn(made).std <= std_kg
+    if not made:
+        return Fixed(bench.time_s, reached, float("nan"), float("nan"))
+    error, half = answer_of(asked.find(made), asked.sphere.sphere_kg)
+    return Fixed(bench.time_s, reached, error, half)
+
+
+def one_case(asked: Asked, with_fixed: bool) -> Case:
+    """The sphere by chosen pushes, and by the fixed sequence where that is wanted."""
+    mass = asked.sphere.sphere_kg
+    chosen = push_until_sure(asked)
+    fixed = repeat_fixed(asked, chosen.std_kg, with_fixed)
+    error, half = answer_of(chosen.estimate, mass)
     return Case(
-        seed, mass, reference, decision.ended_by, estimate.verdict.value, "; ".join(estimate.reasons[:2]), error, half,
-        bool(abs(error) <= half), bool(half <= until.half_interval * 1.0001), len(runs), bench.time_s, other.time_s, reached,
-        fixed_error, fixed_half, tuple(decided[:-1]), decided[-1],
-    )  # fmt: skip
+        seed=asked.seed,
+        mass=mass,
+        reference=asked.reference,
+        ended_by=chosen.ended_by,
+        verdict=chosen.estimate.verdict.value,
+        said="; ".join(chosen.estimate.reasons[:2]),
+        error=error,
+        half=half,
+        holds=bool(abs(error) <= half),
+        met=bool(half <= asked.until.half_interval * 1.0001),
+        runs=chosen.runs,
+        time_s=chosen.time_s,
+        fixed_s=fixed.time_s,
+        fixed_reached=fixed.reached,
+        fixed_error=fixed.error,
+        fixed_half=fixed.half,
+        decided_s=chosen.decided_s[:-1],
+        ended_s=chosen.decided_s[-1],
+    )
 
 
 def one_robot(job: tuple[int, str, Until, int]) -> list[Case]:
@@ -175,13 +258,7 @@ def one_robot(job: tuple[int, str, Until, int]) -> list[Case]:
     for held in (sphere, box()) if seed % EMPTY_EVERY == 0 else (sphere,):
         try:
             case = one_case(
-                robot,
-                hidden,
-                baseline,
-                held,
-                reference,
-                until,
-                seed,
+                Asked(seed, robot, hidden, baseline, held, reference, until),
                 held is sphere and seed % fixed_every == 0,
             )
             cases.append(case)
@@ -225,22 +302,47 @@ def row(
     answered = [case for case in cases if np.isfinite(case.error)]
     if not answered:
         return
-    fixed = [case for case in answered if np.isfinite(case.fixed_error)]
-    never = sum(not case.fixed_reached for case in fixed)
-    decided = np.concatenate([case.decided_s for case in answered])
     results.row(
-        "container_until", name=name, answered=len(answered), asked=len(cases),
-        met=100.0 * np.mean([c.met for c in answered]), half=1e3 * np.median([c.half for c in answered]),
-        rms=1e3 * np.sqrt(np.mean([c.error**2 for c in answered])), hold=100.0 * np.mean([c.holds for c in answered]),
-        pull=Z95 * np.sqrt(np.mean([(c.error / c.half) ** 2 for c in answered])),
-        fixed_hold=100.0 * np.mean([abs(c.fixed_error) <= c.fixed_half for c in fixed]) if fixed else None,
-        time_s=np.median([c.time_s for c in answered]), runs=np.median([c.runs for c in answered]),
-        over_fixed=np.median([c.time_s / c.fixed_s for c in fixed]) if fixed else None,
-        never=never, never_words=f" (fixed never there: {never})" if never else "",
-        decided_s=np.median(decided), longest_s=decided.max(initial=0.0),
-        **each_answer([1e3 * c.error for c in answered], [1e3 * c.half for c in answered]),
-        last_s=np.median([c.ended_s for c in answered]), ends=endings(case.ended_by for case in cases),
-    )  # fmt: skip
+        "container_until",
+        name=name,
+        answered=len(answered),
+        asked=len(cases),
+        **chosen_figures(answered),
+        **fixed_figures([case for case in answered if np.isfinite(case.fixed_error)]),
+        ends=endings(case.ended_by for case in cases),
+    )
+
+
+def chosen_figures(answered: Sequence[Case]) -> dict[str, Any]:
+    """Of the chosen pushes: parts in %, masses in g, times in s."""
+    errors_g = [1e3 * case.error for case in answered]
+    halves_g = [1e3 * case.half for case in answered]
+    decided_s = np.concatenate([case.decided_s for case in answered])
+    return {
+        "met": 100.0 * np.mean([case.met for case in answered]),
+        "half": 1e3 * np.median([case.half for case in answered]),
+        "rms": 1e3 * np.sqrt(np.mean([case.error**2 for case in answered])),
+        "hold": 100.0 * np.mean([case.holds for case in answered]),
+        "pull": Z95 * np.sqrt(np.mean([(case.error / case.half) ** 2 for case in answered])),
+        "time_s": np.median([case.time_s for case in answered]),
+        "runs": np.median([case.runs for case in answered]),
+        "decided_s": np.median(decided_s),
+        "longest_s": decided_s.max(initial=0.0),
+        "last_s": np.median([case.ended_s for case in answered]),
+        **each_answer(errors_g, halves_g),
+    }
+
+
+def fixed_figures(fixed: Sequence[Case]) -> dict[str, Any]:
+    """Of the fixed sequence beside them: how often its interval holds [%], and the chosen pushes' time over its own."""
+    never = sum(not case.fixed_reached for case in fixed)
+    holds = [abs(case.fixed_error) <= case.fixed_half for case in fixed]
+    return {
+        "fixed_hold": 100.0 * np.mean(holds) if fixed else None,
+        "over_fixed": np.median([case.time_s / case.fixed_s for case in fixed]) if fixed else None,
+        "never": never,
+        "never_words": f" (fixed never there: {never})" if never else "",
+    }
 
 
 def table(

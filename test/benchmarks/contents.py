@@ -199,6 +199,17 @@ def judged(results: Results, found: Sequence[Answer]) -> None:
 
 
 def _figures(found: Sequence[Answer]) -> dict[str, Any]:
+    """A row of the table `contents`: masses in g, counts of recordings otherwise."""
+    return {
+        "recordings": len(found),
+        **_mass_figures(found),
+        **_kind_figures(found),
+        **_fill_figures(found),
+    }
+
+
+def _mass_figures(found: Sequence[Answer]) -> dict[str, Any]:
+    """How often the contents' mass was answered, and how well [g]; near is within 3 g or 3 %."""
     errors = []
     halves = []
     hold = 0
@@ -212,29 +223,48 @@ def _figures(found: Sequence[Answer]) -> dict[str, Any]:
             halves.append(500.0 * (high - low))
             hold += each.holds("contents_mass", truth)
             near += abs(value - truth) <= max(0.003, 0.03 * truth)
+    return {
+        "answered": len(errors),
+        "hold": hold,
+        "near": near,
+        "rms": float(np.sqrt(np.mean(np.square(errors)))) if errors else None,
+        "half": float(np.median(halves)) if halves else None,
+        **each_answer(errors, halves),
+    }
+
+
+def _kind_figures(found: Sequence[Answer]) -> dict[str, int]:
+    """How often it was said that something moves, and what; and how often that was right."""
     moved = [each for each in found if each.said_moving is not None]
+    bounded = [each for each in found if each.nats > ODDS_NATS]
     said = [each for each in found if each.said is not None]
+    return {
+        "said": len(moved),
+        "right": sum(each.said_moving == (each.kind in ("liquid", "granular")) for each in moved),
+        "allowed": len(bounded),
+        "told": sum(each.said_moving is True for each in bounded),
+        "kind_said": len(said),
+        "kind_right": sum(each.said == each.kind for each in said),
+    }
+
+
+def _fill_figures(found: Sequence[Answer]) -> dict[str, int]:
+    """How often the fill of a shallow liquid was answered, and how often within 10 % of the container's height."""
     shallow = [
         each
         for each in found
         if each.kind == "liquid"
         and each.truth["contents"]["fill"] < each.truth["container"]["radius"]
     ]
-    filled = [each for each in shallow if each.number("fill") is not None]
-    off = [abs((each.number("fill") or 0.0) - each.truth["contents"]["fill"]) for each in filled]
-    heights = [each.truth["container"]["height"] for each in filled]
-    return {
-        "recordings": len(found), "answered": len(errors), "hold": hold, "near": near,
-        "rms": float(np.sqrt(np.mean(np.square(errors)))) if errors else None,
-        "half": float(np.median(halves)) if halves else None, **each_answer(errors, halves),
-        "said": len(moved),
-        "right": sum(each.said_moving == (each.kind in ("liquid", "granular")) for each in moved),
-        "allowed": sum(each.nats > ODDS_NATS for each in found),
-        "told": sum(each.said_moving is True for each in found if each.nats > ODDS_NATS),
-        "kind_said": len(said), "kind_right": sum(each.said == each.kind for each in said),
-        "fills": len(shallow), "fill_answered": len(filled),
-        "fill_near": sum(o <= 0.1 * h for o, h in zip(off, heights, strict=True)),
-    }  # fmt: skip
+    answered = 0
+    near = 0
+    for each in shallow:
+        fill = each.number("fill")
+        if fill is not None:
+            off = abs(fill - each.truth["contents"]["fill"])
+            answered += 1
+            near += off <= 0.1 * each.truth["container"]["height"]
+    return {"fills": len(shallow), "fill_answered": answered, "fill_near": near}
 
 
 def particles(results: Results, most: int | None) -> None:

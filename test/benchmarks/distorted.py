@@ -233,6 +233,13 @@ def row(
 
 def tables(results: Results, answers: Sequence[Answered]) -> None:
     """All of them."""
+    tell_kinds(results, answers)
+    tell_bends(results, answers)
+    tell_beyond(results, answers)
+
+
+def tell_kinds(results: Results, answers: Sequence[Answered]) -> None:
+    """A row for each kind of mistake that was asked, and one for all."""
     results.table(
         "distorted",
         {
@@ -250,13 +257,15 @@ def tables(results: Results, answers: Sequence[Answered]) -> None:
             "refused because": "{codes}",
         },
     )
-    for kind in [kind for kind in KINDS if any(each.kind == kind for each in answers)]:
-        row(
-            results,
-            kind,
-            [each for each in answers if each.kind == kind],
-        )
+    for kind in KINDS:
+        of_kind = [each for each in answers if each.kind == kind]
+        if of_kind:
+            row(results, kind, of_kind)
     row(results, "all", answers)
+
+
+def tell_bends(results: Results, answers: Sequence[Answered]) -> None:
+    """A row for each way to bend a recording."""
     results.table(
         "bends",
         {
@@ -284,6 +293,10 @@ def tables(results: Results, answers: Sequence[Answered]) -> None:
             named=sum(each.cause_named for each in refused),
             lost=sum(each.lost for each in mine),
         )
+
+
+def tell_beyond(results: Results, answers: Sequence[Answered]) -> None:
+    """Each answer that lies more than three standard deviations off."""
     results.table(
         "beyond",
         {

@@ -27,7 +27,7 @@ from pathlib import Path
 
 import numpy as np
 from results import Results, parser_of
-from support.sensing_arm import SensingArm, write_sensing_arm
+from support.sensing_arm import Load, SensingArm, write_sensing_arm
 from support.virtual_pick_and_place import Worker
 from threadpoolctl import threadpool_limits
 
@@ -177,8 +177,33 @@ def moving_s(motion: Motion, since_s: float, until_s: float) -> float:
     return float(np.mean(speed[inside] > 0.1) * (until_s - since_s))
 
 
+Changes = list[tuple[float, Load | None]]
+"""When what the arm carries changes, in seconds of a motion, and to what; None is an empty hand."""
+
+
+@dataclass
+class Part:
+    """A part of an arm's working day.
+
+    Attributes:
+        motion: As it was recorded.
+        changes: What was taken and laid down in it.
+        rows: Where mass, error and half width [kg] of its estimates go.
+    """
+
+    motion: Motion
+    changes: Changes
+    rows: list[tuple[float, float, float]]
+
+
 def sense(seed: int, minutes: float, stays_s: float) -> Sensed:
-    """One arm, from calibration to the end of its minutes."""
+    """One arm, from calibration to the end of its minutes.
+
+    Args:
+        seed: Draws the arm and what it does.
+        minutes: How long it works [min].
+        stays_s: How long it carries each load [s].
+    """
     shown = Sensed()
     joints = 6 + seed % 2
     rate_Hz = RATES_HZ[seed % len(RATES_HZ)]
@@ -186,84 +211,97 @@ def sense(seed: int, minutes: float, stays_s: float) -> Sensed:
         robot = load_robot(write_sensing_arm(Path(name), joints, seed))
         arm = SensingArm(Path(name), joints, seed, rate_Hz)
         shown.bound_s.append(bound_s(arm))
-        weight = OnlineEstimator(
-            robot,
-            fit_empty(
-                robot,
-                [arm.work(30.0, name=f"empty {n}") for n in range(2)],
-            ),
-        )
+        empty = [arm.work(30.0, name=f"empty {n}") for n in range(2)]
+        weight = OnlineEstimator(robot, fit_empty(robot, empty))
         begun_s = 0.0
         cpu_s = 0.0
         told_s = 0.0
-        loads = [arm.load(mass) for mass in MASSES_KG * 2]
-        schedule = [
-            (stays_s * (n + 1) + arm.rng.uniform(0.0, 1.0), loads[n // 2] if n % 2 == 0 else None)
-            for n in range(20)
-        ]
-        rest_s = max(60.0 * minutes - stays_s * 22 - 30.0, 20.0)
-        parts = [
-            (
-                arm.work(stays_s * 22, schedule),
-                schedule,
-                shown.later,
-            ),
-            (arm.work(0.5 * rest_s), [], shown.later),
-            (
-                arm.work(
-                    0.5 * rest_s,
-                    [(0.0, one := arm.load(1.0))],
-                ),
-                [(0.0, one)],
-                shown.later,
-            ),
-            (
-                arm.work(
-                    30.0,
-                    [(0.0, one)],
-                    elsewhere=ELSEWHERE_RAD,
-                ),
-                [(0.0, one)],
-                shown.elsewhere,
-            ),
-        ]
-        for motion, changes, rows in parts:
+        parts = working_day(arm, minutes, stays_s, shown)
+        for part in parts:
             began = time.process_time()
-            events = [(0.0, None), *changes]
-            held = None
-            noticed = True
-            known = True
-            before = False
-            last = 0.0
-            for time_s, estimate in told_by(weight, motion, begun_s):
-                while events and time_s >= events[0][0]:
-                    (since_s, held), known = events.pop(0), False
-                    noticed = since_s == 0.0
-                mass = held[0] if held else 0.0
-                half = 0.5 * (estimate.ci95_kg[1] - estimate.ci95_kg[0])
-                if estimate.changed and not before:
-                    if noticed and time_s > 2.0:
-                        shown.false += 1
-                    elif not noticed:
-                        shown.late[max(mass, last)].append(moving_s(motion, since_s, time_s))
-                    noticed = True
-                before = estimate.changed
-                row = (mass, estimate.mass_kg - mass, half)
-                if not known and since_s > 0.0 and noticed and estimate.motion_s >= SOON_S:
-                    shown.soon.append(row)
-                    shown.known_s.append(time_s - since_s)
-                    known = True
-                if time_s - since_s > 3.0:
-                    rows.append(row)
-                last = mass or last
-            begun_s += float(motion.times_s[-1]) + 1.0
-            told_s += float(motion.times_s[-1])
+            follow(part, weight, begun_s, shown)
+            lasts_s = float(part.motion.times_s[-1])
+            begun_s += lasts_s + 1.0
+            told_s += lasts_s
             cpu_s += time.process_time() - began
-        changes = len(schedule)
-        seen = sum(len(late) for late in shown.late.values())
-        shown.late[MASSES_KG[0]] += [np.inf] * (changes - seen)
-    shown.hours, shown.cpu = told_s / 3600.0, cpu_s / told_s
+        count_unseen(shown, len(parts[0].changes))
+    shown.hours = told_s / 3600.0
+    shown.cpu = cpu_s / told_s
     return shown
+
+
+def working_day(arm: SensingArm, minutes: float, stays_s: float, shown: Sensed) -> list[Part]:
+    """Loads taken and laid down, a rest with none, and one of 1 kg: here and elsewhere.
+
+    Args:
+        arm: Who works.
+        minutes: How long in all [min].
+        stays_s: How long each load is carried [s].
+        shown: Where the parts' estimates go.
+    """
+    loads = [arm.load(mass) for mass in MASSES_KG * 2]
+    schedule: Changes = []
+    for n in range(2 * len(loads)):
+        begins_s = stays_s * (n + 1) + arm.rng.uniform(0.0, 1.0)
+        schedule.append((begins_s, loads[n // 2] if n % 2 == 0 else None))
+    rest_s = max(60.0 * minutes - stays_s * 22 - 30.0, 20.0)
+    handling = arm.work(stays_s * 22, schedule)
+    at_rest = arm.work(0.5 * rest_s)
+    one: Changes = [(0.0, arm.load(1.0))]
+    carrying = arm.work(0.5 * rest_s, one)
+    away = arm.work(30.0, one, elsewhere=ELSEWHERE_RAD)
+    return [
+        Part(handling, schedule, shown.later),
+        Part(at_rest, [], shown.later),
+        Part(carrying, one, shown.later),
+        Part(away, one, shown.elsewhere),
+    ]
+
+
+def follow(part: Part, weight: OnlineEstimator, begun_s: float, shown: Sensed) -> None:
+    """Tells the estimator a part, and keeps what it says of each change and of each mass.
+
+    Args:
+        part: The motion, and what changed in it.
+        weight: The estimator.
+        begun_s: When the part begins, on the estimator's clock [s].
+        shown: What is kept.
+    """
+    events: Changes = [(0.0, None), *part.changes]
+    held = None
+    noticed = True
+    known = True
+    before = False
+    last = 0.0
+    for time_s, estimate in told_by(weight, part.motion, begun_s):
+        while events and time_s >= events[0][0]:
+            since_s, held = events.pop(0)
+            known = False
+            noticed = since_s == 0.0
+        mass = held[0] if held else 0.0
+        half = 0.5 * (estimate.ci95_kg[1] - estimate.ci95_kg[0])
+        if estimate.changed and not before:
+            if noticed and time_s > 2.0:
+                shown.false += 1
+            elif not noticed:
+                late_s = moving_s(part.motion, since_s, time_s)
+                shown.late[max(mass, last)].append(late_s)
+            noticed = True
+        before = estimate.changed
+        row = (mass, estimate.mass_kg - mass, half)
+        if not known and since_s > 0.0 and noticed and estimate.motion_s >= SOON_S:
+            shown.soon.append(row)
+            shown.known_s.append(time_s - since_s)
+            known = True
+        if time_s - since_s > 3.0:
+            part.rows.append(row)
+        last = mass or last
+
+
+def count_unseen(shown: Sensed, changes: int) -> None:
+    """Changes that were never seen are infinitely late."""
+    seen = sum(len(late) for late in shown.late.values())
+    shown.late[MASSES_KG[0]] += [np.inf] * (changes - seen)
 
 
 def together(every: Sequence[Sensed]) -> Sensed:

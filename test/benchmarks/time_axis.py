@@ -167,6 +167,16 @@ def _calibrated(
     return path if path.exists() else said
 
 
+COLUMNS = {
+    "asked": "{asked}",
+    "accepted": "{accepted}",
+    "hold": "{hold}",
+    "beyond three sd": "{far}",
+    "farthest, in sd": "{farthest:.1f}",
+    "refused because": "{codes}",
+}
+
+
 def main(arguments: Sequence[str] | None = None) -> None:
     """A row for each factor, and for each machine."""
     parser = parser_of(__doc__)
@@ -178,50 +188,69 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--made", type=Path, help="where simulated recordings are kept")
     options = parser.parse_args(arguments)
     results = Results(__file__, options.json, arguments)
-    factors = np.round(
-        np.arange(0.5, 2.0 + 1e-9, options.step),
-        3,
-    )
+    factors = np.round(np.arange(0.5, 2.0 + 1e-9, options.step), 3)
+    chosen = tuple(options.only or ("",))
+    known = [
+        (machine, base)
+        for machine, base in bases(options.first, options.sets)
+        if machine.startswith(chosen)
+    ]
     with tempfile.TemporaryDirectory() as folder:
-        made = options.made or Path(folder)
-        chosen = tuple(options.only or ("",))
-        known = [
-            (machine, base)
-            for machine, base in bases(options.first, options.sets)
-            if machine.startswith(chosen)
-        ]
-        for _, base in known:
-            base.files(made)
-        questions = [
-            Question(machine, base, float(factor), of)
-            for machine, base in known
-            for factor in factors
-            for of in (ALONE, TOGETHER)
-        ]
-        with ProcessPoolExecutor(options.jobs) as pool:
-            answers = []
-            for each in pool.map(partial(answer, made=made), questions):
-                answers.append(each)
-                print(each, flush=True)
-    columns = {
-        "asked": "{asked}",
-        "accepted": "{accepted}",
-        "hold": "{hold}",
-        "beyond three sd": "{far}",
-        "farthest, in sd": "{farthest:.1f}",
-        "refused because": "{codes}",
-    }
-    results.table("factors", {"true time over stamped": "{name}", **columns})
+        answers = answered(known, factors, options.made or Path(folder), options.jobs)
+    tell_factors(results, factors, answers)
+    tell_machines(results, answers)
+    for each in answers:
+        if each.accepted and each.sigmas > FAR:
+            print(f"beyond three sd: {each}")
+    results.keep()
+
+
+def answered(
+    known: Sequence[tuple[str, Base]],
+    factors: np.ndarray,
+    made: Path,
+    jobs: int,
+) -> list[Answer]:
+    """Every recording asked at every factor, alone and with all others alike.
+
+    Args:
+        known: Machines by name, and their recordings.
+        factors: Stamped time over true time, (n,).
+        made: Where simulated recordings are.
+        jobs: How many processes ask.
+    """
+    for _, base in known:
+        base.files(made)
+    questions = [
+        Question(machine, base, float(factor), of)
+        for machine, base in known
+        for factor in factors
+        for of in (ALONE, TOGETHER)
+    ]
+    answers = []
+    with ProcessPoolExecutor(jobs) as pool:
+        for each in pool.map(partial(answer, made=made), questions):
+            answers.append(each)
+            print(each, flush=True)
+    return answers
+
+
+def tell_factors(results: Results, factors: np.ndarray, answers: Sequence[Answer]) -> None:
+    """A row for each factor, and one for all; what is stamped 0.5 times as long took twice as long as its stamps say."""
+    results.table("factors", {"true time over stamped": "{name}", **COLUMNS})
     for factor in factors:
-        # what is stamped 0.5 times as long took twice as long as its stamps say
         mine = [each for each in answers if each.question.factor == factor]
         row(results, "factors", f"{1.0 / factor:.2f}", mine)
     row(results, "factors", "all", answers)
+
+
+def tell_machines(results: Results, answers: Sequence[Answer]) -> None:
+    """A row for each machine where a recording is stretched alone, and one where all are."""
     results.table(
         "machines",
-        {"machine": "{name}", **columns, "half width": "{half:.3f} times"},
+        {"machine": "{name}", **COLUMNS, "half width": "{half:.3f} times"},
     )
-    for machine in dict.fromkeys(name for name, _ in known):
+    for machine in dict.fromkeys(each.question.machine for each in answers):
         for of in (ALONE, TOGETHER):
             mine = [
                 each
@@ -229,10 +258,6 @@ def main(arguments: Sequence[str] | None = None) -> None:
                 if each.question.machine == machine and each.question.of == of
             ]
             row(results, "machines", f"{machine}, {of}", mine, half=widening(mine))
-    for each in answers:
-        if each.accepted and each.sigmas > FAR:
-            print(f"beyond three sd: {each}")
-    results.keep()
 
 
 def row(

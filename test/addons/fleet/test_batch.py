@@ -11,7 +11,7 @@ import signal
 import subprocess
 import sys
 import tracemalloc
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from html import unescape
 from itertools import pairwise
 from pathlib import Path
@@ -33,12 +33,13 @@ import proprio_ros.addons.fleet.rows as rows_module
 from proprio_ros.addons.fleet.drift import Drift, drift, periods_of, write_drift
 from proprio_ros.addons.fleet.episodes import episodes_of
 from proprio_ros.addons.fleet.grasps import Grasps
-from proprio_ros.addons.fleet.job import run_batch, self_calibrated
+from proprio_ros.addons.fleet.job import Outcome, run_batch, self_calibrated
 from proprio_ros.addons.fleet.listing import named, span_of
 from proprio_ros.addons.fleet.rows import Job, lasting, rows_of
 from proprio_ros.addons.fleet.store import Store, chunks_of
 from proprio_ros.cli import main
 from proprio_ros.errors import ComputerError, ConfigurationError, RecordingError
+from proprio_ros.identification.estimate import Value
 from proprio_ros.inputs.resources import resource
 from proprio_ros.pipeline.calibrate import calibrate_from_bags
 from proprio_ros.pipeline.check import check_bags
@@ -49,6 +50,7 @@ from proprio_ros.recordings.datasets import open_data_set
 from proprio_ros.records import JointRecord
 
 MASSES_KG = (0.0, 0.05, 0.1)
+FINGER = "gripper_left_joint"
 PROFILE = "title: rad and N m\neffort_unit: N.m\ncolumns: {position_unit: rad}\n"
 
 
@@ -232,38 +234,13 @@ def test_rows_are_those_of_replay_bit_for_bit_whatever_the_engine(
     assert "batch.html" in outcome._repr_html_()
     assert outcome.episodes == len(rows) == 10
     assert outcome.verdicts == {"accepted": 9, "failed": 1}
-    (failed,) = [row for row in rows if row["kind"] == "failed"]
-    assert failed["episode"] == "bags/cut"
-    assert "the motion lasts 0.3 s" in failed["reasons"][0]
-    assert failed["value"] is None
-    assert failed["reason_codes"] == ["unreadable"]
+    check_unreadable(rows)
     for row in rows:
-        if row is failed:
-            continue
-        path = (
-            f"{row['source']}#{row['episode']}"
-            if row["episode_index"] is not None
-            else f"{row['source']}/{row['episode']}"
-        )
-        estimate = replay(path, asked(fleet))
-        value = estimate.values[0]
-        assert (row["value"], row["std"], [row["low"], row["high"]]) == (
-            value.value,
-            value.std,
-            list(value.ci95),
-        )
-        assert (
-            row["quantity"] == "payload_mass"
-            and row["joints"] == list(FOUR.joints)
-            and row["samples"] == 600
-        )
-        assert row["calibration_sha256"] == estimate.origin["calibration"]["fingerprint"]
+        if row["kind"] != "failed":
+            check_replayed(row, fleet)
     page = (tmp_path / "batch.html").read_text()
-    assert (
-        "10 episodes: 9 accepted, 1 failed" in page
-        and "Refused: 10.0 %" in page
-        and "bags/cut</code>" in page
-    )
+    for words in ("10 episodes: 9 accepted, 1 failed", "Refused: 10.0 %", "bags/cut</code>"):
+        assert words in page
     # in this process, episode by episode, in another order
     again = [
         row for episode in reversed(episodes_of([fleet / "data"])) for row in rows_of(episode, job)
@@ -271,6 +248,38 @@ def test_rows_are_those_of_replay_bit_for_bit_whatever_the_engine(
     assert same(
         rows, sorted(again, key=lambda row: (row["source"], row["episode"], row["segment"]))
     )
+
+
+def check_unreadable(rows: list[dict[str, Any]]) -> None:
+    """The bag that is cut short, alone, has a row without a value."""
+    (failed,) = [row for row in rows if row["kind"] == "failed"]
+    assert failed["episode"] == "bags/cut"
+    assert "the motion lasts 0.3 s" in failed["reasons"][0]
+    assert failed["value"] is None
+    assert failed["reason_codes"] == ["unreadable"]
+
+
+def check_replayed(row: dict[str, Any], fleet: Path) -> None:
+    """A row is what `replay` says of its episode, bit for bit."""
+    of_data_set = row["episode_index"] is not None
+    between = "#" if of_data_set else "/"
+    estimate = replay(f"{row['source']}{between}{row['episode']}", asked(fleet))
+    assert numbers_of(row) == numbers_of_value(estimate.values[0])
+    assert row["quantity"] == "payload_mass"
+    assert row["joints"] == list(FOUR.joints)
+    assert row["samples"] == 600
+    assert row["calibration_sha256"] == estimate.origin["calibration"]["fingerprint"]
+
+
+def numbers_of(row: dict[str, Any]) -> tuple[float, float, list[float]]:
+    """Mass, standard deviation and 95 % interval of a row [kg]."""
+    return row["value"], row["std"], [row["low"], row["high"]]
+
+
+def numbers_of_value(value: Value) -> tuple[Any, Any, list[float]]:
+    """Those of a replayed estimate's value [kg]."""
+    assert value.ci95 is not None
+    return value.value, value.std, list(value.ci95)
 
 
 @pytest.mark.long
@@ -631,34 +640,29 @@ def test_a_long_motion_is_answered_in_parts_that_replay_answers_alike(
     job = Job(asked(fleet), grasps=True)
     for episode in episodes_of([tmp_path / "data"]):
         rows = rows_of(episode, job)
-        parts = [row for row in rows if row["kind"] == "part"]
-        assert len(parts) == 3
-        assert sum(row["samples"] for row in parts) == len(motion.times_s)
-        assert [row["segment"] for row in rows] == list(range(len(rows))) and rows[0][
-            "segments"
-        ] == len(rows)
-        assert parts[0]["start_s"] == 0.0 and all(
-            a["end_s"] == b["start_s"] for a, b in pairwise(parts)
-        )
-        for row in parts:
-            assert row["low"] - 0.001 <= 0.1 <= row["high"] + 0.001
-            options = replace(
-                asked(fleet),
-                span=span_of({**row, "kind": "part"}),
-            )
-            value = replay(episode.path, options).values[0]
-            assert (row["value"], row["std"], [row["low"], row["high"]]) == (
-                value.value,
-                value.std,
-                list(value.ci95),
-            )
+        check_cut(rows, len(motion.times_s))
+        for row in rows:
+            if row["kind"] == "part":
+                assert row["low"] - 0.001 <= 0.1 <= row["high"] + 0.001
+                options = replace(asked(fleet), span=span_of(row))
+                assert numbers_of(row) == numbers_of_value(replay(episode.path, options).values[0])
         # one grasp through all parts
         (grasp,) = [row for row in rows if row["kind"] == "grasp"]
-        assert (
-            grasp["reason_codes"] == ["held"]
-            and grasp["samples"] > 1700
-            and grasp["low"] < 0.1 < grasp["high"]
-        )
+        assert grasp["reason_codes"] == ["held"]
+        assert grasp["samples"] > 1700
+        assert grasp["low"] < 0.1 < grasp["high"]
+
+
+def check_cut(rows: list[dict[str, Any]], samples: int) -> None:
+    """Three parts, each of which begins where the one before ends, hold all samples."""
+    parts = [row for row in rows if row["kind"] == "part"]
+    assert len(parts) == 3
+    assert sum(row["samples"] for row in parts) == samples
+    assert [row["segment"] for row in rows] == list(range(len(rows)))
+    assert rows[0]["segments"] == len(rows)
+    assert parts[0]["start_s"] == 0.0
+    for part, following in pairwise(parts):
+        assert part["end_s"] == following["start_s"]
 
 
 @pytest.mark.long
@@ -698,131 +702,152 @@ def test_a_recording_of_pushes_is_not_cut(fleet: Path, monkeypatch: pytest.Monke
 @pytest.mark.long
 def test_what_a_calibration_carries_counts_in_a_batch(bags: Path, tmp_path: Path) -> None:
     """A gripper that is not recorded, and the link in which objects are held: rows are those of what is stated each time."""
-    finger = "gripper_left_joint"
-    hand = "link5"
-    stated = {f"held.{finger}": 0.01, "payload.frame": hand}
+    finger = {f"held.{FINGER}": 0.01}
+    stated = {**finger, "payload.frame": "link5"}
+    place = {"payload.com": [0.0, 0.0, 0.0]}
     empty = [folder / "bag_mcap" for folder in sorted(bags.glob("realistic_s00_empty_0[0-3]_*"))]
     carrying = tmp_path / "carrying.yaml"
     plain = tmp_path / "plain.yaml"
     calibrate_from_bags(empty, {}, Options(settings=stated), carrying)
     calibrate_from_bags(empty, {}, Options(), plain)
     ball = bags / "realistic_s00_fixed_heavy_ball_50g_joint3" / "bag_mcap"
-    whole = bag_recording(ball, request_of(Options()))
-    record = whole.joints
-    columns = [column for column, name in enumerate(record.names) if name != finger]
-    names = tuple(record.names[column] for column in columns)
-    write_recording(
-        tmp_path / "ball",
-        replace(
-            whole,
-            joints=JointRecord(
-                record.times_ns,
-                names,
-                record.position[:, columns],
-            ),
-        ),
-    )
-    place = {"payload.com": [0.0, 0.0, 0.0]}
-    asked = Options(calibration=carrying, settings=place)
+    without_finger(ball, tmp_path / "ball")
     run_batch(
         [tmp_path / "ball"],
-        Job(asked),
+        Job(Options(calibration=carrying, settings=place)),
         tmp_path / "out",
         lambda words: None,
         processes=1,
     )
     (row,) = table(tmp_path / "out")
-    each_time = replay(
-        tmp_path / "ball", Options(calibration=plain, settings={**stated, **place})
-    ).values[0]
-    assert (
-        row["value"] == pytest.approx(each_time.value, rel=1e-6)
-        and row["calibration"] == "carrying.yaml"
+    each_time, elsewhere = (
+        replay(tmp_path / "ball", Options(calibration=plain, settings={**said, **place})).values[0]
+        for said in (stated, finger)
     )
-    in_hand = {f"held.{finger}": 0.01, **place}
-    elsewhere = replay(tmp_path / "ball", Options(calibration=plain, settings=in_hand)).values[0]
+    assert row["value"] == pytest.approx(each_time.value, rel=1e-6)
+    assert row["calibration"] == "carrying.yaml"
     assert abs(elsewhere.value - each_time.value) > 0.002, "the link counts"
 
 
-@pytest.mark.long
-def test_an_arm_calibrates_itself_with_the_first_seconds_and_shows_its_drift(
-    tmp_path: Path,
-) -> None:
+def without_finger(bag: Path, path: Path) -> None:
+    """The same recording, of whose gripper no joint states tell."""
+    whole = bag_recording(bag, request_of(Options()))
+    record = whole.joints
+    columns = [column for column, name in enumerate(record.names) if name != FINGER]
+    names = tuple(record.names[column] for column in columns)
+    joints = JointRecord(record.times_ns, names, record.position[:, columns])
+    write_recording(path, replace(whole, joints=joints))
+
+
+WEEK_NS = 7 * 86_400 * 10**9
+FOUR_WEEKS_KG = (0.05, 0.1, 0.15, 0.2, 0.05, 0.1, 0.15, 0.2)
+"""What the hand takes after six seconds, episode by episode."""
+
+
+@dataclass(frozen=True)
+class FourWeeks:
+    """A batch of an arm that calibrates itself with the first seconds of its episodes.
+
+    Attributes:
+        bags: Its episodes.
+        options: What was asked.
+        said: What the batch said on its way.
+    """
+
+    bags: Path
+    options: Options
+    out: Path
+    outcome: Outcome
+    said: list[str]
+
+
+@pytest.fixture(scope="module")
+def four_weeks(tmp_path_factory: pytest.TempPathFactory) -> FourWeeks:
     """Eight episodes over four weeks whose hand is empty for six seconds; friction is 1.8 times as large in the last two weeks."""
-    robot = write_robot(tmp_path, build=FOUR)
-    week_ns = 7 * 86_400 * 10**9
-    masses = (0.05, 0.1, 0.15, 0.2, 0.05, 0.1, 0.15, 0.2)
-    for n, mass in enumerate(masses):
+    folder = tmp_path_factory.mktemp("four_weeks")
+    robot = write_robot(folder, build=FOUR)
+    bags = folder / "bags"
+    for n, mass in enumerate(FOUR_WEEKS_KG):
         arm = Arm(3, drift=1.8 if n >= 4 else 1.0)
-        motion = arm.record(
-            200 + n,
-            24.0,
-            0.0,
-            changes=((6.0, mass),),
-        )
-        write_bag(
-            tmp_path / "bags" / f"{n}",
-            motion,
-            BEGIN_NS + (n // 2) * week_ns,
-        )
-    options = Options(
-        robot=str(robot),
-        effort_unit="N.m",
-        settings=SETTINGS,
-    )
-    out = tmp_path / "out"
-    said = list[str]()
-    cut = write_bag(tmp_path / "bags" / "cut", motion)
+        motion = arm.record(200 + n, 24.0, 0.0, changes=((6.0, mass),))
+        write_bag(bags / f"{n}", motion, BEGIN_NS + (n // 2) * WEEK_NS)
+    cut = write_bag(bags / "cut", motion)
     storage = next(cut.glob("*.mcap"))
     storage.write_bytes(storage.read_bytes()[:3000])
-    outcome = run_batch(
-        [tmp_path / "bags"], Job(options), out, said.append, processes=1, empty_first_s=6.0
-    )
+    options = Options(robot=str(robot), effort_unit="N.m", settings=SETTINGS)
+    out = folder / "out"
+    said = list[str]()
+    outcome = run_batch([bags], Job(options), out, said.append, processes=1, empty_first_s=6.0)
+    return FourWeeks(bags, options, out, outcome, said)
+
+
+@pytest.mark.long
+def test_an_arm_calibrates_itself_with_the_first_seconds(four_weeks: FourWeeks) -> None:
+    said = four_weeks.said
     assert any("8 of 9 episodes, whose hand is empty at first" in words for words in said)
-    *rows, failed = table(out)
+    *rows, failed = table(four_weeks.out)
     assert failed["kind"] == "failed"
     assert named(failed).endswith("bags/cut --span 6:")
     assert [row["start_s"] for row in rows] == [6.0] * 8
     held = [
         row["low"] - 0.001 <= mass <= row["high"] + 0.001
-        for row, mass in zip(rows, masses, strict=True)
+        for row, mass in zip(rows, FOUR_WEEKS_KG, strict=True)
     ]
     assert sum(held) >= 7
     asked = replace(
-        options, robot=None, calibration=out / "calibration.yaml", span=(6 * 10**9, None)
+        four_weeks.options,
+        robot=None,
+        calibration=four_weeks.out / "calibration.yaml",
+        span=(6 * 10**9, None),
     )
-    value = replay(tmp_path / "bags" / "3", asked).values[0]
+    value = replay(four_weeks.bags / "3", asked).values[0]
     assert (rows[3]["value"], rows[3]["std"]) == (value.value, value.std)
-    with open(out / "drift.csv") as stream:
+
+
+@pytest.mark.long
+def test_an_arm_that_calibrates_itself_shows_its_drift(four_weeks: FourWeeks) -> None:
+    """Week by week, two episodes each, in a file, on the page and in Python."""
+    with open(four_weeks.out / "drift.csv") as stream:
         written = list(csv.DictReader(stream))
-    assert len(written) == 4 * len(FOUR.joints)
-    assert all(row["episodes"] == "2" for row in written)
-    assert [row["period"] for row in written[:: len(FOUR.joints)]] == sorted(
+    joints = len(FOUR.joints)
+    assert len(written) == 4 * joints
+    assert {row["episodes"] for row in written} == {"2"}
+    assert [row["period"] for row in written[::joints]] == sorted(
         {row["period"] for row in written}
     )
-    first, last = (
-        np.array(
-            [[float(row["coulomb_N_m"]), float(row["coulomb_N_m_std"])] for row in written[part]]
-        )
-        for part in (slice(0, len(FOUR.joints)), slice(-len(FOUR.joints), None))
-    )
-    sigmas = np.hypot(
-        1.8 * first[:, 1],
-        last[:, 1],
-    )
-    assert np.all(np.abs(last[:, 0] - 1.8 * first[:, 0]) < 3.0 * sigmas)
-    assert np.max((last[:, 0] - first[:, 0]) / np.hypot(first[:, 1], last[:, 1])) > 1.2
-    page = (out / "batch.html").read_text()
-    assert (
-        "How the arm drifts" in page
-        and "Coulomb friction of j1" in page
-        and outcome.drift.sentence() in page
-    )
-    kept = outcome.drift.as_json()["rows"]
+    check_drifted(friction_of(written[:joints]), friction_of(written[-joints:]))
+    page = (four_weeks.out / "batch.html").read_text()
+    drifted = four_weeks.outcome.drift
+    for words in ("How the arm drifts", "Coulomb friction of j1", drifted.sentence()):
+        assert words in page
+    kept = drifted.as_json()["rows"]
     assert [f"{row['coulomb_N_m']:.6g}" for row in kept] == [row["coulomb_N_m"] for row in written]
+
+
+def friction_of(rows: list[dict[str, str]]) -> np.ndarray:
+    """Coulomb friction of each joint, and its standard deviation [N m], (n, 2)."""
+    return np.array(
+        [[float(row["coulomb_N_m"]), float(row["coulomb_N_m_std"])] for row in rows],
+    )
+
+
+def check_drifted(first: np.ndarray, last: np.ndarray) -> None:
+    """The last week's friction is 1.8 times the first one's, within three standard deviations, and seen to be more."""
+    friction, std = first.T
+    later, later_std = last.T
+    assert np.all(np.abs(later - 1.8 * friction) < 3.0 * np.hypot(1.8 * std, later_std))
+    assert np.max((later - friction) / np.hypot(std, later_std)) > 1.2
+
+
+@pytest.mark.long
+def test_too_short_an_empty_hand_says_nothing(four_weeks: FourWeeks, tmp_path: Path) -> None:
     with pytest.raises(ConfigurationError, match="are the least that say anything"):
         run_batch(
-            [tmp_path / "bags"], Job(options), tmp_path / "no", said.append, empty_first_s=1.0
+            [four_weeks.bags],
+            Job(four_weeks.options),
+            tmp_path / "no",
+            four_weeks.said.append,
+            empty_first_s=1.0,
         )
 
 

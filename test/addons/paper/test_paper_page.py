@@ -12,6 +12,8 @@ import re
 import subprocess
 import sys
 from collections.abc import Iterator
+from contextlib import redirect_stderr
+from io import StringIO
 from pathlib import Path
 from typing import Any
 
@@ -346,55 +348,72 @@ def test_tree_parzen_finds_a_valley() -> None:
     )
 
 
+@pytest.fixture(scope="module")
+def one_seed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """What the command keeps of starts and effects with one robot: about six seconds of computing."""
+    out = tmp_path_factory.mktemp("one_seed")
+    with redirect_stderr(StringIO()) as said:
+        assert main(of_one_seed(out)) == 0
+    assert "2 of 2: " in said.getvalue()
+    return out
+
+
+def of_one_seed(out: Path) -> list[str]:
+    """The command's words."""
+    asked = ["--seeds", "1", "--jobs", "1", "--only", "starts", "effects"]
+    return ["paper", "--out", str(out), *asked]
+
+
+def rows_of(out: Path, experiment: str) -> list[dict[str, Any]]:
+    """The rows of the one seed."""
+    text = (out / "rows" / f"{experiment}_000.json").read_text()
+    rows: list[dict[str, Any]] = json.loads(text)["rows"]["rows"]
+    return rows
+
+
 @pytest.mark.long
-def test_the_command_on_one_seed(
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    """Starts and effects with one robot: about six seconds of computing."""
-    arguments = [
-        "paper",
-        "--out",
-        str(tmp_path),
-        "--seeds",
-        "1",
-        "--jobs",
-        "1",
-        "--only",
-        "starts",
-        "effects",
-    ]
-    assert main(arguments) == 0
-    assert "2 of 2: " in capsys.readouterr().err
-    kept = {
-        path.name: json.loads(path.read_text())["rows"]["rows"]
-        for path in (tmp_path / "rows").iterdir()
-    }
-    starts = [row for row in kept["starts_000.json"] if row["calibrated"]]
-    # wherever ours begins it ends at one mass, near the truth; the short schedule stops on its way
+def test_wherever_ours_begins_it_ends_near_the_truth(one_seed: Path) -> None:
+    """At one mass; the paper's short schedule stops on its way."""
+    starts = [row for row in rows_of(one_seed, "starts") if row["calibrated"]]
     ours = [row["value"] for row in starts if row["way"] == "ours"]
     assert len(ours) == len(cases.STARTS_KG)
     assert np.ptp(ours) < 1e-4
     assert abs(ours[0] - 0.05) < 0.005
     short = [row["value"] for row in starts if row["way"] == "paper, 15 iterations"]
-    assert np.ptp(short[:-1]) > 0.01 and short[-1] > 4.5
-    effects = {(row["effect"], row["amount"]): row["error"] for row in kept["effects_000.json"]}
-    # nothing wrong: within the encoder's noise; 1 % of torque is 3 g, 0.01 N m of friction 5 g
-    assert abs(effects["torque", 0.0]) < 5e-4
-    assert effects["torque", 0.01] - effects["torque", 0.0] == pytest.approx(0.003, abs=0.001)
-    assert effects["friction", 0.01] - effects["friction", 0.0] == pytest.approx(0.005, abs=0.002)
-    # a clone gives what the documentation states of the same seed, within what other seeds differ by
-    stated = json.loads((DOCS / "pages" / "figures" / "stated.json").read_text())
-    for name in ("starts", "effects"):
-        for row in kept[f"{name}_000.json"]:
-            seeds = np.array(stated[name][label(row)])
-            value = row.get("value", row.get("error"))
-            assert abs(value - seeds[0]) <= max(0.5 * seeds.std(ddof=1), 1e-5), (name, row, seeds)
-    before = {path: path.stat().st_mtime_ns for path in (tmp_path / "rows").iterdir()}
-    assert main(arguments) == 0
+    assert np.ptp(short[:-1]) > 0.01
+    assert short[-1] > 4.5
+
+
+@pytest.mark.long
+def test_what_a_wrong_torque_or_friction_costs(one_seed: Path) -> None:
+    """1 % of torque is 3 g, 0.01 N m of friction 5 g; with nothing wrong an error is within the encoder's noise."""
+    errors = {(row["effect"], row["amount"]): row["error"] for row in rows_of(one_seed, "effects")}
+    assert abs(errors["torque", 0.0]) < 5e-4
+    assert errors["torque", 0.01] - errors["torque", 0.0] == pytest.approx(0.003, abs=0.001)
+    assert errors["friction", 0.01] - errors["friction", 0.0] == pytest.approx(0.005, abs=0.002)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("experiment", ["starts", "effects"])
+def test_a_clone_gives_what_the_documentation_states(one_seed: Path, experiment: str) -> None:
+    """Of the same seed, within what other seeds differ by."""
+    stated = json.loads((DOCS / "pages" / "figures" / "stated.json").read_text())[experiment]
+    for row in rows_of(one_seed, experiment):
+        seeds = np.array(stated[label(row)])
+        value = row.get("value", row.get("error"))
+        assert abs(value - seeds[0]) <= max(0.5 * seeds.std(ddof=1), 1e-5), (row, seeds)
+
+
+@pytest.mark.long
+def test_the_command_computes_no_seed_twice(
+    one_seed: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    before = {path: path.stat().st_mtime_ns for path in (one_seed / "rows").iterdir()}
+    assert main(of_one_seed(one_seed)) == 0
     assert "2 of them done before" in capsys.readouterr().err
-    assert {path: path.stat().st_mtime_ns for path in (tmp_path / "rows").iterdir()} == before
-    _, words = read(tmp_path / "paper.html")
+    assert {path: path.stat().st_mtime_ns for path in (one_seed / "rows").iterdir()} == before
+    _, words = read(one_seed / "paper.html")
     assert "Table II" in words
     assert "What the paper leaves out" in words
     assert "Table I:" not in words
