@@ -8,39 +8,46 @@ import notebook
 import pytest
 
 
+@pytest.fixture(scope="module")
+def cells() -> list[notebook.Cell]:
+    """The first notebook, executed."""
+    found: list[notebook.Cell] = notebook.executed(notebook.SCRIPT.read_text(encoding="utf-8"))
+    return found
+
+
 @pytest.mark.long
-def test_the_first_notebook() -> None:
-    found = notebook.executed(notebook.SCRIPT.read_text(encoding="utf-8"))
-    text = [cell for cell in found if cell.markdown]
-    shown = [cell for cell in found if not cell.markdown and cell.plain]
-    assert len(text) >= 6
-    assert "first notebook" in text[0].source
+def test_the_first_notebook_answers(cells: list[notebook.Cell]) -> None:
+    shown = [cell for cell in cells if not cell.markdown and cell.plain]
     checks, calibration, drives, ball, fit, open_arm, stuck, reasons, plans = shown
-    assert (
-        "3 bags, 2 of 3 runs usable" in checks.html
-        and "not usable: joint3 moved only" in checks.html
-    )
+    assert "3 bags, 2 of 3 runs usable" in checks.html
+    assert "not usable: joint3 moved only" in checks.html
     assert ">accepted<" in calibration.html
-    assert all("<svg" in cell.svg for cell in (drives, fit))
-    assert (
-        ">accepted<" in ball.html
-        and ">49.0 g<" in ball.html
-        and "49.0 g, and between" in fit.printed
-    )
+    for picture in (drives, fit):
+        assert "<svg" in picture.svg
+    for words in (">accepted<", ">49.0 g<"):
+        assert words in ball.html
+    assert "49.0 g, and between" in fit.printed
     for refusal in (open_arm, stuck):
         assert "not identifiable" in refusal.html
         assert "What to do: push" in refusal.html
     assert reasons.plain == "(True, ['stuck'])"
     assert plans.html.count("<tr>") == 4
-    words = notebook.page(found)
+
+
+@pytest.mark.long
+def test_the_first_notebook_is_kept(cells: list[notebook.Cell]) -> None:
+    """As a page without a path of this machine, and as a notebook of the format's version 4.5."""
+    text = [cell for cell in cells if cell.markdown]
+    assert len(text) >= 6
+    assert "first notebook" in text[0].source
+    words = notebook.page(cells)
     assert str(notebook.SCRIPT.parents[1]) not in words, "no path of a machine"
-    kept = json.loads(notebook.notebook(found))
-    assert (kept["nbformat"], kept["nbformat_minor"], len(kept["cells"])) == (4, 5, len(found))
+    kept = json.loads(notebook.notebook(cells))
+    assert (kept["nbformat"], kept["nbformat_minor"], len(kept["cells"])) == (4, 5, len(cells))
+    of_code = {"execution_count", "outputs"}
     for cell in kept["cells"]:
         keys = {"id", "cell_type", "metadata", "source"}
-        assert set(cell) == (
-            keys | {"execution_count", "outputs"} if cell["cell_type"] == "code" else keys
-        )
+        assert set(cell) == keys | (of_code if cell["cell_type"] == "code" else set())
     assert "".join(kept["cells"][0]["source"]) == text[0].source
 
 

@@ -6,6 +6,7 @@ How well it weighs is for test/benchmarks/live.py; the guards, for test/excitati
 from __future__ import annotations
 
 import signal
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,9 @@ pytest.importorskip("mujoco")
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 from support.domains import free_domain
-from support.live import running, wait_for
+from support.live import Client, running, wait_for
+
+from proprio_ros.nodes.graph import Graph
 
 pytestmark = pytest.mark.long
 
@@ -36,6 +39,34 @@ excitation:
 """
 
 
+@dataclass
+class Servos:
+    """The arm's nodes, and what is said to its controller.
+
+    Attributes:
+        goals: As the excitation node publishes them for who records.
+        sent: Positions for the controller, by whoever sends them [rad].
+    """
+
+    graph: Graph
+    client: Client
+    goals: list[JointState] = field(default_factory=list)
+    sent: list[list[float]] = field(default_factory=list)
+
+    def listen(self) -> None:
+        """Hears all goals from now on."""
+        node = self.client.node
+        node.create_subscription(JointState, "/joint_command", self.goals.append, 1000)
+        node.create_subscription(
+            Float64MultiArray, TOPIC, lambda each: self.sent.append(list(each.data)), 1000
+        )
+        assert wait_for(lambda: node.count_publishers(TOPIC) >= 2)
+
+    def positions(self) -> list[float]:
+        """Of all joints, in the controller's order [rad]."""
+        return [self.client.position(name) for name in ORDER]
+
+
 def test_servos_are_pushed_by_steps_of_goals_and_held_when_the_node_is_killed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -49,53 +80,62 @@ def test_servos_are_pushed_by_steps_of_goals_and_held_when_the_node_is_killed(
         **ARM,
     }
     output = {"command_interface": "position", "probe": probe, **ARM}
-    with running(
-        tmp_path,
-        "virtual",
-        "excitation",
-        virtual=virtual,
-        excitation=output,
-    ) as (
-        graph,
-        client,
-    ):
-        goals: list[JointState] = []
-        sent: list[list[float]] = []
-        client.node.create_subscription(JointState, "/joint_command", goals.append, 1000)
-        client.node.create_subscription(
-            Float64MultiArray, TOPIC, lambda each: sent.append(list(each.data)), 1000
-        )
-        assert wait_for(lambda: client.node.count_publishers(TOPIC) >= 2)
-        assert wait_for(lambda: client.excitation.get("joint_states") == "true"), graph.log(
-            "excitation"
-        )
-        answer = client.call("/excitation/run")
-        assert answer.success, answer.message
-        assert wait_for(
-            lambda: client.excitation["phase"] == "probe" and client.excitation["run"] == "2"
-        )
-        assert float(client.excitation["good_runs"]) == 1.0
-        # whoever records hears every goal once it was taken, by name and on the clock of the joint states
-        assert all(list(each.name) == ORDER and len(each.position) == len(ORDER) for each in goals)
-        assert {tuple(each.position) for each in goals[20:]} <= {tuple(each) for each in sent}
-        stamps = {(each.header.stamp.sec, each.header.stamp.nanosec) for each in client.states}
-        assert (
-            sum((each.header.stamp.sec, each.header.stamp.nanosec) in stamps for each in goals[:-5])
-            > len(goals) - 15
-        )
-        # the status is said before the goal is sent
-        assert wait_for(lambda: client.position("elbow_flex") > 0.2)
-        pushed = sent[-1]
-        graph.processes["excitation"].send_signal(signal.SIGKILL)
-        assert wait_for(lambda: sent[-1] != pushed), "somebody else speaks for it"
-        last = sent[-1]
-        assert last[1] != pushed[1] and [*last[:1], *last[2:]] == [*pushed[:1], *pushed[2:]], (
-            "the others stay as they were"
-        )
-        heard = len(client.motors)
-        assert wait_for(lambda: len(client.motors) > heard + 60)
-        before = [client.position(name) for name in ORDER]
-        assert wait_for(lambda: len(client.motors) > heard + 90)
-        assert [client.position(name) for name in ORDER] == pytest.approx(before, abs=0.005)
-        assert sent[-1] == last
-        assert abs(client.position("elbow_flex") - last[1]) < 0.15
+    nodes = ("virtual", "excitation")
+    with running(tmp_path, *nodes, virtual=virtual, excitation=output) as (graph, client):
+        servos = Servos(graph, client)
+        servos.listen()
+        push_twice(servos)
+        check_goals_are_published(servos)
+        check_held_when_killed(servos)
+
+
+def push_twice(servos: Servos) -> None:
+    """Starts the probe, and waits for its second push."""
+    client = servos.client
+    assert wait_for(lambda: client.excitation.get("joint_states") == "true"), servos.graph.log(
+        "excitation"
+    )
+    answer = client.call("/excitation/run")
+    assert answer.success, answer.message
+    assert wait_for(
+        lambda: client.excitation["phase"] == "probe" and client.excitation["run"] == "2"
+    )
+    assert float(client.excitation["good_runs"]) == 1.0
+
+
+def check_goals_are_published(servos: Servos) -> None:
+    """Whoever records hears every goal once it was taken, by name and on the clock of the joint states."""
+    goals = servos.goals
+    for goal in goals:
+        assert list(goal.name) == ORDER
+        assert len(goal.position) == len(ORDER)
+    sent = {tuple(each) for each in servos.sent}
+    assert {tuple(goal.position) for goal in goals[20:]} <= sent
+    stamps = {stamp_of(state) for state in servos.client.states}
+    assert sum(stamp_of(goal) in stamps for goal in goals[:-5]) > len(goals) - 15
+
+
+def stamp_of(message: JointState) -> tuple[int, int]:
+    """Seconds and nanoseconds."""
+    return message.header.stamp.sec, message.header.stamp.nanosec
+
+
+def check_held_when_killed(servos: Servos) -> None:
+    """In the middle of a push somebody else holds the pushed joint where it is, and the others where they were."""
+    client = servos.client
+    sent = servos.sent
+    # the status is said before the goal is sent
+    assert wait_for(lambda: client.position("elbow_flex") > 0.2)
+    pushed = sent[-1]
+    servos.graph.processes["excitation"].send_signal(signal.SIGKILL)
+    assert wait_for(lambda: sent[-1] != pushed), "somebody else speaks for it"
+    last = sent[-1]
+    assert last[1] != pushed[1]
+    assert [*last[:1], *last[2:]] == [*pushed[:1], *pushed[2:]], "the others stay as they were"
+    heard = len(client.motors)
+    assert wait_for(lambda: len(client.motors) > heard + 60)
+    before = servos.positions()
+    assert wait_for(lambda: len(client.motors) > heard + 90)
+    assert servos.positions() == pytest.approx(before, abs=0.005)
+    assert sent[-1] == last
+    assert abs(client.position("elbow_flex") - last[1]) < 0.15

@@ -6,6 +6,7 @@ import importlib
 import signal
 import sys
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -24,6 +25,7 @@ from support.message_packages import build
 
 from proprio_ros.nodes import excitation
 from proprio_ros.nodes.excitation import ExcitationNode
+from proprio_ros.nodes.graph import Graph
 from proprio_ros.nodes.switching import Controllers, SwitchedRuns, own_controller
 
 pytestmark = pytest.mark.long
@@ -96,17 +98,45 @@ class Manager:
         return response
 
 
+@dataclass(frozen=True)
+class Lent:
+    """An arm whose joints another controller has, and which is lent for a sequence.
+
+    Attributes:
+        endless: A probe that ends only when somebody ends it.
+    """
+
+    graph: Graph
+    client: Client
+    manager: Manager
+    endless: Path
+
+    def sees_the_arm(self) -> bool:
+        """Whether the excitation node hears joint states."""
+        return self.client.excitation.get("joint_states") == "true"
+
+    def run(self) -> None:
+        """Starts a sequence, which takes the joints."""
+        answer = self.client.call("/excitation/run")
+        assert answer.success, answer.message
+        assert self.manager.active == OURS
+
+    def is_given_back(self, after: str) -> None:
+        """Waits until the other controller has the joints again."""
+        assert wait_for(lambda: self.manager.active == THEIRS), after
+
+
 def test_every_end_of_a_sequence_gives_the_arm_back(
     built: SimpleNamespace, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("ROS_DOMAIN_ID", free_domain())
-    probe = tmp_path / "short.yaml"
+    short = tmp_path / "short.yaml"
     endless = tmp_path / "long.yaml"
-    probe.write_text(PROBE % 0.2)
+    short.write_text(PROBE % 0.2)
     endless.write_text(PROBE % 30.0)
     virtual = {"interface": "position_controller", "state_rate": 50.0, **ARM}
     output = {
-        "command_interface": "position", "probe": probe, "controller_manager": "/controller_manager",
+        "command_interface": "position", "probe": short, "controller_manager": "/controller_manager",
         "deactivate_controllers": [THEIRS], **ARM,
     }  # fmt: skip
     environment = {"PYTHONPATH": built.environment["PYTHONPATH"]}
@@ -118,54 +148,65 @@ def test_every_end_of_a_sequence_gives_the_arm_back(
         virtual=virtual,
         excitation=output,
     ) as (graph, client):
-
-        def sees_the_arm() -> bool:
-            return client.excitation.get("joint_states") == "true"
-
-        assert wait_for(sees_the_arm)
+        assert wait_for(lambda: client.excitation.get("joint_states") == "true")
         assert "controller_manager running?" in client.call("/excitation/run").message
-        manager = Manager(client, built.kind)
-        answer = client.call("/excitation/run")
-        assert answer.success, answer.message
-        assert manager.active == OURS
-        assert client.excitation["busy"] == "true"
-        client.wait_for_phase("done")
-        assert wait_for(lambda: manager.active == THEIRS), "done"
-        assert len(manager.heard) == 2
+        lent = Lent(graph, client, Manager(client, built.kind), endless)
+        check_done(lent)
+        check_refused(lent)
+        check_aborted_and_released(lent)
+        check_ended_by(lent, signal.SIGKILL)
+        client.excitation.clear()
+        graph.start("excitation", {**output, "probe": endless})
+        assert comes_up(graph, lambda: client.excitation.get("phase") == "idle")
+        check_ended_by(lent, signal.SIGINT)
 
-        manager.refuses = "a joint is on fire"
-        answer = client.call("/excitation/run")
-        assert not answer.success
-        assert "refused: a joint is on fire" in answer.message
-        assert client.excitation["phase"] == "done"
-        assert manager.active == THEIRS
-        manager.refuses = ""
 
-        assert client.set("/excitation", "probe", str(endless)).successful
-        assert client.call("/excitation/run").success
-        client.wait_for_phase("probe")
-        client.call("/excitation/abort")
-        # asked for while it is switched back: it waits for that
-        assert client.call("/excitation/run").success
-        assert manager.active == OURS
-        assert [r.activate_controllers[0] for r in manager.heard[-2:]] == [THEIRS, OURS]
-        client.wait_for_phase("probe")
-        assert THEIRS in client.call("/excitation/release").message
-        assert wait_for(lambda: manager.active == THEIRS), "released"
+def check_done(lent: Lent) -> None:
+    """A sequence that comes to its end."""
+    lent.run()
+    assert lent.client.excitation["busy"] == "true"
+    lent.client.wait_for_phase("done")
+    lent.is_given_back("done")
+    assert len(lent.manager.heard) == 2
 
-        for number in (signal.SIGKILL, signal.SIGINT):
-            assert wait_for(sees_the_arm)
-            answer = client.call("/excitation/run")
-            assert answer.success, answer.message
-            client.wait_for_phase("probe")
-            assert manager.active == OURS
-            graph.processes["excitation"].send_signal(number)
-            assert wait_for(lambda: manager.active == THEIRS), number.name
-            graph.processes["excitation"].wait(timeout=10.0)
-            if number == signal.SIGKILL:
-                client.excitation.clear()
-                graph.start("excitation", {**output, "probe": endless})
-                assert comes_up(graph, lambda: client.excitation.get("phase") == "idle")
+
+def check_refused(lent: Lent) -> None:
+    """A sequence that the controller manager does not switch for."""
+    lent.manager.refuses = "a joint is on fire"
+    answer = lent.client.call("/excitation/run")
+    assert not answer.success
+    assert "refused: a joint is on fire" in answer.message
+    assert lent.client.excitation["phase"] == "done"
+    assert lent.manager.active == THEIRS
+    lent.manager.refuses = ""
+
+
+def check_aborted_and_released(lent: Lent) -> None:
+    """A sequence that is aborted, and one that is asked for while the arm is given back."""
+    client = lent.client
+    assert client.set("/excitation", "probe", str(lent.endless)).successful
+    assert client.call("/excitation/run").success
+    client.wait_for_phase("probe")
+    client.call("/excitation/abort")
+    # asked for while it is switched back: it waits for that
+    assert client.call("/excitation/run").success
+    assert lent.manager.active == OURS
+    switched = [request.activate_controllers[0] for request in lent.manager.heard[-2:]]
+    assert switched == [THEIRS, OURS]
+    client.wait_for_phase("probe")
+    assert THEIRS in client.call("/excitation/release").message
+    lent.is_given_back("released")
+
+
+def check_ended_by(lent: Lent, number: signal.Signals) -> None:
+    """A sequence whose node is ended by a signal."""
+    assert wait_for(lent.sees_the_arm)
+    lent.run()
+    lent.client.wait_for_phase("probe")
+    node = lent.graph.processes["excitation"]
+    node.send_signal(number)
+    lent.is_given_back(number.name)
+    node.wait(timeout=10.0)
 
 
 def test_without_the_messages_the_node_says_so_and_works(

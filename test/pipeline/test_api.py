@@ -367,32 +367,39 @@ def test_a_calibration_is_used_as_an_object_or_as_its_file(
 ) -> None:
     path = tmp_path / "arm.yaml"
     written = calibrate(EMPTY, output=path)
-    assert written.path == path and written.as_json()["output"] == str(path)
-    assert (
-        calibration.accepted
-        and calibration.as_json()["output"] is None
-        and calibration.calibration is not None
-    )
-    by_object, by_file = (
-        weigh(BALL, calibration=c, payload=BALL_FACTS) for c in (calibration, path)
-    )
-    assert by_object.mass == by_file.mass and abs(by_file.mass - 0.05) < 4e-3
+    assert written.path == path
+    assert written.as_json()["output"] == str(path)
+    assert calibration.accepted
+    assert calibration.as_json()["output"] is None
+    assert calibration.calibration is not None
+    by_object = weigh(BALL, calibration=calibration, payload=BALL_FACTS)
+    by_file = weigh(BALL, calibration=path, payload=BALL_FACTS)
+    assert by_object.mass == by_file.mass
+    assert abs(by_file.mass - 0.05) < 4e-3
     used = by_file.as_json()["calibration"]
-    assert used == written.as_json()["calibration"] and used["name"] == "arm.yaml"
-    assert (
-        used["fingerprint"] != by_object.as_json()["calibration"]["fingerprint"]
-        or len(used["fingerprint"]) == 64
-    )
+    assert used == written.as_json()["calibration"]
+    assert used["name"] == "arm.yaml"
+    of_object = by_object.as_json()["calibration"]["fingerprint"]
+    assert used["fingerprint"] != of_object or len(used["fingerprint"]) == 64
     named = replay([BALL], Options(robot=str(path))).as_json()["calibration"]
     assert named == used  # also where the calibrated robot was named as the robot
-    assert {"name", "value", "std", "prior"} <= set(calibration.to_frame().columns)
-    assert len(calibration.to_frame()) == len(calibration.estimate.unknowns)
-    assert "joint3" in words_in(calibration.plot()) and "weighs " in calibration._repr_html_()
-    words = calibration.report(tmp_path / "page.html").read_text()
-    assert "calibrate([" in words and str(EMPTY[0]) in words
+
+
+@pytest.mark.long
+def test_a_calibration_is_shown(calibration: CalibrationResult, tmp_path: Path) -> None:
+    """As a table, a picture, a page and in words."""
+    frame = calibration.to_frame()
+    assert {"name", "value", "std", "prior"} <= set(frame.columns)
+    assert len(frame) == len(calibration.estimate.unknowns)
+    assert "joint3" in words_in(calibration.plot())
+    for words in ("weighs ", "accepted"):
+        assert words in calibration._repr_html_()
+    assert "\n" not in repr(calibration)
+    page = calibration.report(tmp_path / "page.html").read_text()
+    assert "calibrate([" in page
+    assert str(EMPTY[0]) in page
     with pytest.raises(ConfigurationError, match="is there already"):
         calibration.report(tmp_path / "page.html")
-    assert "\n" not in repr(calibration) and "accepted" in calibration._repr_html_()
 
 
 def test_a_calibration_that_failed_cannot_be_used() -> None:

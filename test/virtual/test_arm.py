@@ -608,27 +608,40 @@ def test_wrong_objects_are_refused_in_one_line(text: str, said: str) -> None:
 # ----------------------------------------------------------------------------------------------------- truth and encoders
 
 
-def test_drawn_truths(robot: Robot) -> None:
-    truths = [Truth.draw(robot, seed, links=True) for seed in range(200)]
+@pytest.fixture(scope="module")
+def truths(robot: Robot) -> list[Truth]:
+    """Two hundred hidden arms."""
+    return [Truth.draw(robot, seed, links=True) for seed in range(200)]
+
+
+@pytest.mark.parametrize(
+    ("term", "low", "high"),
+    [("coulomb", 0.024, 0.072), ("viscous", 0.0015, 0.009), ("load_friction", 0.0, 0.03)],
+)
+def test_drawn_frictions_fill_their_range(
+    truths: list[Truth], term: str, low: float, high: float
+) -> None:
+    values = [getattr(joint, term) for truth in truths for joint in truth.joints.values()]
+    assert low <= min(values) < low + 0.1 * (high - low)
+    assert high - 0.1 * (high - low) < max(values) <= high
+
+
+@pytest.mark.parametrize(
+    ("term", "spread"),
+    [("torque_constant", 0.09), ("zero_rad", 0.005), ("once_per_turn_cos_rad", 0.001)],
+)
+def test_drawn_drives_scatter(truths: list[Truth], term: str, spread: float) -> None:
+    values = [getattr(joint, term) for truth in truths for joint in truth.joints.values()]
+    assert np.std(values) == pytest.approx(spread, rel=0.1)
+
+
+def test_drawn_truths(truths: list[Truth]) -> None:
     joints = [joint for truth in truths for joint in truth.joints.values()]
-    for term, low, high in (
-        ("coulomb", 0.024, 0.072),
-        ("viscous", 0.0015, 0.009),
-        ("load_friction", 0.0, 0.03),
-    ):
-        values = [getattr(joint, term) for joint in joints]
-        assert low <= min(values) < low + 0.1 * (high - low)
-        assert high - 0.1 * (high - low) < max(values) <= high
-    assert np.std([joint.torque_constant for joint in joints]) == pytest.approx(0.09, rel=0.1)
     assert min(joint.armature for joint in joints) == pytest.approx(0.4 * 0.012)
-    assert np.std([joint.zero_rad for joint in joints]) == pytest.approx(0.005, rel=0.1)
-    assert np.std([joint.once_per_turn_cos_rad for joint in joints]) == pytest.approx(
-        0.001, rel=0.1
-    )
+    assert all(joint.stribeck == 0.0 for joint in joints)
     assert all(0.002 <= truth.latency_s <= 0.006 for truth in truths)
     assert np.std([truth.arm_scale for truth in truths]) == pytest.approx(0.02, rel=0.15)
     assert np.std([truth.links["link4"].mass for truth in truths]) == pytest.approx(0.01, rel=0.15)
-    assert all(joint.stribeck == 0.0 for joint in joints)
 
 
 def test_known_friction_is_drawn_about_its_value(robot: Robot) -> None:

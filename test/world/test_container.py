@@ -126,27 +126,8 @@ def test_spheres_are_weighed(arm: Calibrated, sphere_kg: float) -> None:
     arm.held.clear()
     answer = client.asked("/identifier/calibrate_container")
     assert answer.success, answer.message
-
-    def told() -> bool:
-        return bool(
-            client.masses
-            and math.isfinite(client.masses[-1])
-            and arm.markers
-            and len(arm.markers[-1].markers) > 1
-        )
-
-    assert client.wait_for(
-        lambda: told() and bool(client.estimates) and client.estimates[-1]["probe"] == "container"
-    )
-    final = client.estimates[-1]
-    assert final["final"] == "true"
-    assert final["verdict"] == "accepted"
-    assert float(final["sphere_mass"]) == client.masses[-1]
-    assert final["sphere_mass.unit"] == "kg"
-    # half an interval is 1.2 to 1.5 g here: what lies two of them off is wrong, and a width beyond 4 g is of no use
-    for mass, truth in (("sphere_mass", sphere_kg), ("container_mass", SHELL_KG)):
-        low, high = json.loads(final[f"{mass}.ci95"])
-        assert abs(float(final[mass]) - truth) < high - low < 0.004, final
+    assert client.wait_for(lambda: is_told(arm))
+    check_masses(client, sphere_kg)
     baseline = (arm.data / "open_manipulator_x_container_baseline").resolve()
     assert f"old: {baseline}" in answer.message
     assert "older than" not in answer.message
@@ -155,6 +136,32 @@ def test_spheres_are_weighed(arm: Calibrated, sphere_kg: float) -> None:
     assert all(estimate["final"] == "true" for estimate in client.estimates)
 
     check_drawn(arm)
+
+
+def is_told(arm: Calibrated) -> bool:
+    """Whether a sphere's mass was published and drawn, and its estimate is there."""
+    masses = arm.client.masses
+    if not masses or not math.isfinite(masses[-1]):
+        return False
+    if not arm.markers or len(arm.markers[-1].markers) <= 1:
+        return False
+    estimates = arm.client.estimates
+    return bool(estimates) and estimates[-1]["probe"] == "container"
+
+
+def check_masses(client: Client, sphere_kg: float) -> None:
+    """Sphere and container hold their truths [kg], and what is published is what the estimate says.
+
+    Half an interval is 1.2 to 1.5 g here: what lies two of them off is wrong, and a width beyond 4 g is of no use.
+    """
+    final = client.estimates[-1]
+    assert final["final"] == "true"
+    assert final["verdict"] == "accepted"
+    assert float(final["sphere_mass"]) == client.masses[-1]
+    assert final["sphere_mass.unit"] == "kg"
+    for mass, truth in (("sphere_mass", sphere_kg), ("container_mass", SHELL_KG)):
+        low, high = json.loads(final[f"{mass}.ci95"])
+        assert abs(float(final[mass]) - truth) < high - low < 0.004, final
 
 
 def check_drawn(arm: Calibrated) -> None:

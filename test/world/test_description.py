@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -71,6 +74,47 @@ class Arm:
         self._thread.join(5.0)
 
 
+class Described:
+    """An identifier that learns its robot from a topic, and what it says.
+
+    Attributes:
+        told: What it was doing, and its words, status by status.
+        estimates: As they were published.
+    """
+
+    def __init__(self, client: Client, urdf: str) -> None:
+        self.client = client
+        self.urdf = urdf
+        self.told: list[tuple[str, str]] = []
+        self.estimates: list[dict[str, str]] = []
+        listen = client.node.create_subscription
+        listen(DiagnosticStatus, "/arm/identifier/status", self._on_status, HEARD)
+        listen(DiagnosticArray, "/arm/identifier/estimate", self._on_estimate, HEARD)
+        self._publisher = client.node.create_publisher(String, "/arm/robot_description", LATCHED)
+
+    def _on_status(self, message: DiagnosticStatus) -> None:
+        self.told.append((values_of(message)["doing"], message.message))
+
+    def _on_estimate(self, message: DiagnosticArray) -> None:
+        self.estimates.append(values_of(message.status[0]))
+
+    def describe(self, urdf: str) -> None:
+        """Publishes a description."""
+        self._publisher.publish(String(data=urdf))
+
+    def says(self, words: str) -> bool:
+        """Whether it does, sooner or later."""
+        return self.client.wait_for(lambda: any(words in message for _, message in list(self.told)))
+
+    def is_ready(self, words: str = "ready") -> bool:
+        """Whether it comes to say so."""
+        return self.client.wait_for(lambda: self.told[-1][1].startswith(words))
+
+    def weigh(self) -> Any:
+        """The service's answer."""
+        return self.client.call("/arm/identifier/weigh")
+
+
 def test_the_robot_is_that_of_the_topic(tmp_path: Path) -> None:
     robot = load_robot(write_robot(tmp_path, build=FOUR))
     twin = Twin(5, FOUR)
@@ -80,94 +124,87 @@ def test_the_robot_is_that_of_the_topic(tmp_path: Path) -> None:
     )
     calibration = tmp_path / "motions.yaml"
     write_calibration(calibration, robot, learnt)
-    held = twin.record(
-        "held",
-        180.0,
-        (HELD_KG, [0.0, 0.0, 0.0]),
-    )
-    text = (tmp_path / "twin.urdf").read_text()
+    held = twin.record("held", 180.0, (HELD_KG, [0.0, 0.0, 0.0]))
     with world(tmp_path / "data", only=()) as made:
         parameters = {
             "robot": "robot_description", "report": True, "calibration": calibration, "effort_unit": "A",
             "weigh_seconds": 12.0, "running": True,
         }  # fmt: skip
         made.start("identifier", parameters, namespace="arm")
-        client = Client(made)
-        told: list[tuple[str, str]] = []
-        listen = client.node.create_subscription
-
-        def on_status(message: DiagnosticStatus) -> None:
-            told.append((values_of(message)["doing"], message.message))
-
-        estimates: list[dict[str, str]] = []
-        listen(DiagnosticStatus, "/arm/identifier/status", on_status, HEARD)
-        listen(
-            DiagnosticArray,
-            "/arm/identifier/estimate",
-            lambda m: estimates.append(values_of(m.status[0])),
-            HEARD,
-        )
-        publisher = client.node.create_publisher(String, "/arm/robot_description", LATCHED)
-
-        def says(words: str) -> bool:
-            return client.wait_for(lambda: any(words in message for _, message in list(told)))
-
-        arm = None
-        try:
-            assert client.wait_for(lambda: bool(told)), client.log("identifier")
-            assert says("waits for /arm/robot_description"), told
-            answer = client.call("/arm/identifier/weigh")
-            assert not answer.success
-            assert "not ready: waits for /arm/robot_description" in answer.message
-            publisher.publish(String(data="no description"))
-            assert says("not XML"), told
-            assert told[-1][0] == "starting"
-            assert "waits for another" in told[-1][1]
-            publisher.publish(String(data=text))
-            assert client.wait_for(lambda: told[-1][1].startswith("ready")), (
-                told,
-                client.log("identifier"),
+        identifier = Described(Client(made), (tmp_path / "twin.urdf").read_text())
+        check_waited_for(identifier)
+        with moved(identifier, held):
+            check_weighed(identifier)
+        # a driver that measures nothing: what stood is withdrawn, and why is said
+        assert identifier.says(
+            "the running estimate waits: no joint states of the arm are coming"
+        ), identifier.told
+        with moved(identifier, replace(held, current_A=np.full_like(held.current_A, np.nan))):
+            assert identifier.says("the joint states carry no measured effort of j1, j2, j3, j4"), (
+                identifier.told
             )
-            arm = Arm(client, held)
-            assert client.wait_for(
-                lambda: any(each.get("running") == "true" for each in list(estimates))
-            ), told
-            client.clock.sleep(13.0)
-            answer = client.call("/arm/identifier/weigh")
-            assert answer.success, answer.message
-            live = replayed_alike(
-                Path(answer.message.split("recording: ")[1]).parent / "estimate.json"
-            )
-            value = live["estimates"][0]
-            low, high = value["ci95"]
-            assert abs(value["value"] - HELD_KG) < 0.02 and low < HELD_KG < high, value
+        with moved(identifier, held):
+            assert identifier.is_ready("ready; the running estimate"), identifier.told
+            check_not_exchanged(identifier)
 
-            # a driver that measures nothing: what stood is withdrawn, and why is said
-            arm.stop()
-            assert says("the running estimate waits: no joint states of the arm are coming"), told
-            silent = replace(
-                held,
-                current_A=np.full_like(held.current_A, np.nan),
-            )
-            arm = Arm(client, silent)
-            assert says("the joint states carry no measured effort of j1, j2, j3, j4"), told
-            arm.stop()
-            arm = Arm(client, held)
-            assert client.wait_for(lambda: told[-1][1].startswith("ready; the running estimate")), (
-                told
-            )
 
-            publisher.publish(String(data=text.replace('mass value="', 'mass value="1')))
-            assert says("/arm/robot_description has changed"), told
-            client.clock.sleep(2.0)
-            count = len(estimates)
-            answer = client.call("/arm/identifier/weigh")
-            assert not answer.success and "has changed" in answer.message, answer.message
-            client.clock.sleep(1.0)
-            assert len(estimates) == count, "nothing is estimated with a model that holds no more"
-            publisher.publish(String(data=text))
-            assert says("the robot is that of /arm/robot_description"), told
-            assert client.wait_for(lambda: len(estimates) > count), "it goes on"
-        finally:
-            if arm is not None:
-                arm.stop()
+@contextmanager
+def moved(identifier: Described, motion: Motion) -> Iterator[None]:
+    """The arm reports a motion meanwhile."""
+    arm = Arm(identifier.client, motion)
+    try:
+        yield
+    finally:
+        arm.stop()
+
+
+def check_waited_for(identifier: Described) -> None:
+    """Nothing is weighed before there is a robot, and what is no description is none."""
+    client = identifier.client
+    told = identifier.told
+    assert client.wait_for(lambda: bool(told)), client.log("identifier")
+    assert identifier.says("waits for /arm/robot_description"), told
+    answer = identifier.weigh()
+    assert not answer.success
+    assert "not ready: waits for /arm/robot_description" in answer.message
+    identifier.describe("no description")
+    assert identifier.says("not XML"), told
+    assert told[-1][0] == "starting"
+    assert "waits for another" in told[-1][1]
+    identifier.describe(identifier.urdf)
+    assert identifier.is_ready(), (told, client.log("identifier"))
+
+
+def check_weighed(identifier: Described) -> None:
+    """The running estimate and the service weigh, and a replay of the recording says the same."""
+    client = identifier.client
+    assert client.wait_for(
+        lambda: any(each.get("running") == "true" for each in list(identifier.estimates))
+    ), identifier.told
+    client.clock.sleep(13.0)
+    answer = identifier.weigh()
+    assert answer.success, answer.message
+    live = replayed_alike(Path(answer.message.split("recording: ")[1]).parent / "estimate.json")
+    value = live["estimates"][0]
+    low, high = value["ci95"]
+    assert abs(value["value"] - HELD_KG) < 0.02, value
+    assert low < HELD_KG < high, value
+
+
+def check_not_exchanged(identifier: Described) -> None:
+    """Another robot on the topic ends all estimates, until the first one is there again."""
+    client = identifier.client
+    identifier.describe(identifier.urdf.replace('mass value="', 'mass value="1'))
+    assert identifier.says("/arm/robot_description has changed"), identifier.told
+    client.clock.sleep(2.0)
+    count = len(identifier.estimates)
+    answer = identifier.weigh()
+    assert not answer.success, answer.message
+    assert "has changed" in answer.message
+    client.clock.sleep(1.0)
+    assert len(identifier.estimates) == count, (
+        "nothing is estimated with a model that holds no more"
+    )
+    identifier.describe(identifier.urdf)
+    assert identifier.says("the robot is that of /arm/robot_description"), identifier.told
+    assert client.wait_for(lambda: len(identifier.estimates) > count), "it goes on"

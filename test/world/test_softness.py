@@ -44,6 +44,10 @@ class Calibrated:
     markers: list[MarkerArray]
     robot: Any
 
+    def said(self, name: str) -> list[float]:
+        """What was published of a number; what stood before is withdrawn by a NaN."""
+        return [value for value in self.numbers[name] if math.isfinite(value)]
+
     def folders(self) -> list[Path]:
         return sorted(self.data.glob("2*_softness"))
 
@@ -89,57 +93,67 @@ def test_the_gripper_learns_itself(arm: Calibrated) -> None:
 def test_blocks_are_distinguished(arm: Calibrated, modulus: float, ratio: float) -> None:
     """Within their intervals, which the torque constant makes 10 % wide; the fingers end where they began."""
     client = arm.client
-    assert client.set("/virtual", "object", block(modulus, ratio)).successful
-    arm.markers.clear()
-    for heard in arm.numbers.values():
-        heard.clear()
     began = client.position(GRIPPER)
-    answer = client.asked("/identifier/calibrate_softness")
-    assert answer.success, answer.message
-
-    def said(name: str) -> list[float]:
-        """What stood before is withdrawn by a NaN."""
-        return [value for value in arm.numbers[name] if math.isfinite(value)]
-
-    assert client.wait_for(
-        lambda: bool(said("lame_mu") and arm.markers and len(arm.markers[-1].markers) > 1)
-    )
-    assert client.wait_for(client.final)
+    answer = squeeze(arm, block(modulus, ratio))
     final = client.estimates[-1]
     assert final["probe"] == "softness"
     assert final["final"] == "true"
     assert final["verdict"] == "accepted"
-    assert client.wait_for(lambda: bool(said("youngs_modulus")))
-    told = said("youngs_modulus")[-1]
-    assert float(final["youngs_modulus"]) == told
-    assert final["youngs_modulus.unit"] == "Pa"
-    shown_told = shown(
-        "Pa",
-        told,
-        spec=spec_for("Pa", float(final["youngs_modulus.std"])),
-    )
-    assert f"block {shown_told}, 95 % interval" in answer.message
-    low, high = json.loads(final["youngs_modulus.ci95"])
-    assert abs(told - modulus) < 0.2 * modulus
-    assert abs(told - modulus) < 2.0 * (high - low)
-    assert float(final["lame_mu"]) == said("lame_mu")[-1]
+    assert client.wait_for(lambda: bool(arm.said("youngs_modulus")))
+    check_modulus(arm, final, modulus)
+    told_words = words_of_modulus(final)
+    assert f"block {told_words}, 95 % interval" in answer
+    assert float(final["lame_mu"]) == arm.said("lame_mu")[-1]
     # what is not determined is not published either
-    assert (final["lame_lambda"] == "not determined") == (not said("lame_lambda"))
+    assert (final["lame_lambda"] == "not determined") == (not arm.said("lame_lambda"))
     assert 0.05 < float(final["largest_squeeze"]) < 0.45
     assert client.wait_for(lambda: abs(client.position(GRIPPER) - began) < 0.001), (
         "the fingers let go"
     )
-
-    drawn = {
-        marker.type: marker for marker in arm.markers[-1].markers if marker.action == Marker.ADD
-    }
-    cube = drawn[Marker.CUBE]
-    words = drawn[Marker.TEXT_VIEW_FACING]
-    assert cube.header.frame_id == "end_effector_link"
-    assert cube.scale.x == 0.03
-    assert words.text.startswith(shown_told.split()[0])
+    check_drawn(arm.markers[-1], told_words.split()[0])
     assert not client.masses
     assert not client.payloads
+
+
+def squeeze(arm: Calibrated, held: str) -> str:
+    """Puts a block between the fingers and has it squeezed until its estimate is final; the service's answer."""
+    client = arm.client
+    assert client.set("/virtual", "object", held).successful
+    arm.markers.clear()
+    for heard in arm.numbers.values():
+        heard.clear()
+    answer = client.asked("/identifier/calibrate_softness")
+    assert answer.success, answer.message
+    assert client.wait_for(
+        lambda: bool(arm.said("lame_mu") and arm.markers and len(arm.markers[-1].markers) > 1)
+    )
+    assert client.wait_for(client.final)
+    return str(answer.message)
+
+
+def check_modulus(arm: Calibrated, final: dict[str, str], modulus: float) -> None:
+    """What is published is what the estimate says, near the truth [Pa]."""
+    told = arm.said("youngs_modulus")[-1]
+    assert float(final["youngs_modulus"]) == told
+    assert final["youngs_modulus.unit"] == "Pa"
+    low, high = json.loads(final["youngs_modulus.ci95"])
+    assert abs(told - modulus) < 0.2 * modulus
+    assert abs(told - modulus) < 2.0 * (high - low)
+
+
+def words_of_modulus(final: dict[str, str]) -> str:
+    """As a person reads it."""
+    spec = spec_for("Pa", float(final["youngs_modulus.std"]))
+    return shown("Pa", float(final["youngs_modulus"]), spec=spec)
+
+
+def check_drawn(markers: MarkerArray, number: str) -> None:
+    """A cube between the fingers, with its modulus beside it."""
+    drawn = {marker.type: marker for marker in markers.markers if marker.action == Marker.ADD}
+    cube = drawn[Marker.CUBE]
+    assert cube.header.frame_id == "end_effector_link"
+    assert cube.scale.x == 0.03
+    assert drawn[Marker.TEXT_VIEW_FACING].text.startswith(number)
 
 
 def test_a_block_is_squeezed_until_it_is_sure(arm: Calibrated) -> None:
