@@ -129,47 +129,81 @@ def weighings(
     return cases
 
 
-def one_robot(
-    job: tuple[int, str, float, float, float, Sequence[float]],
-) -> tuple[list[Case], float, int, str]:
-    seed, reference, hours, warm_K, times, masses = job
-    rng = np.random.default_rng(seed)
+@dataclass(frozen=True)
+class Job:
+    """What one robot is asked: hours and true drift as `main` says them, temperature change [K], masses [kg]."""
+
+    seed: int
+    reference: str
+    hours: float
+    warm_K: float
+    times: float
+    masses: Sequence[float]
+
+
+@dataclass
+class Drifted:
+    """What became of one robot.
+
+    Attributes:
+        refresh_s: How long the pushes of its refresh took [s].
+        pushes: How many they were.
+        said: What came of them.
+    """
+
+    cases: list[Case]
+    refresh_s: float
+    pushes: int
+    said: str
+
+
+def one_robot(job: Job) -> Drifted:
+    """A robot that is calibrated, drifts, is refreshed, and weighs before and after."""
+    rng = np.random.default_rng(job.seed)
     hidden = draw_robot(rng, EFFECTS_DEFAULT, SPREAD)
-    fresh = calibrated(hidden, reference, rng)
+    fresh = calibrated(hidden, job.reference, rng)
     if fresh is None or fresh.calibration is None:
-        return [], 0.0, 0, "not calibrated"
-    warmer_K = rng.standard_normal(4) * warm_K
-    made = Moment(MADE_S, dict.fromkeys(JOINTS, WARM_C))
-    now = Moment(
-        MADE_S + 3600.0 * hours, {j: WARM_C + k for j, k in zip(JOINTS, warmer_K, strict=True)}
-    )
-    stale = fresh.with_calibration(replace(fresh.calibration, made=made))
+        return Drifted([], 0.0, 0, "not calibrated")
+    warmer_K = rng.standard_normal(4) * job.warm_K
+    stale, old = aged_after(fresh, job.hours, warmer_K)
     stated = stale.drift
-    truth = AgeingRates(**{name: times * value for name, value in vars(stated).items()})
-    later = drifted(hidden, truth, hours, warmer_K.tolist(), rng)
-    old = stale.with_calibration(aged(stale.calibration, stated, now))
-    robots = {STALE: stale, AGED: old}
+    truth = AgeingRates(**{name: job.times * value for name, value in vars(stated).items()})
+    later = drifted(hidden, truth, job.hours, warmer_K.tolist(), rng)
     sequence = load_sequence("empty_hand", fresh)
     bench = Bench(later, sequence, rng)
     pushes, _, _ = chosen_refresh(stale, old, REFRESH_S, sequence)
-    learnt = (
-        refresh(old, [LoadedRun(run) for probe in pushes for run in bench.push(probe, None)])
-        if pushes
-        else None
-    )
-    said = (
-        "nothing to do" if learnt is None else f"{learnt.verdict.value} {'; '.join(learnt.reasons)}"
-    )
-    if learnt is None:
-        robots[REFRESHED] = old
-    elif learnt.calibration is not None and learnt.verdict.value == "accepted":
-        robots[REFRESHED] = old.with_calibration(learnt.calibration)
-    cases = weighings(hidden, {FRESH: stale}, masses, seed)
+    runs = [LoadedRun(run) for probe in pushes for run in bench.push(probe, None)]
+    refreshed, said = after_refresh(old, runs)
+    robots = {STALE: stale, AGED: old}
+    if refreshed is not None:
+        robots[REFRESHED] = refreshed
+    cases = weighings(hidden, {FRESH: stale}, job.masses, job.seed)
     try:
-        cases += weighings(later, robots, masses, seed)
+        cases += weighings(later, robots, job.masses, job.seed)
     except ProprioError as error:
-        return cases, bench.time_s, len(pushes), str(error)
-    return cases, bench.time_s, len(pushes), said
+        said = str(error)
+    return Drifted(cases, bench.time_s, len(pushes), said)
+
+
+def aged_after(fresh: Robot, hours: float, warmer_K: np.ndarray) -> tuple[Robot, Robot]:
+    """With the calibration as it was made, and aged by so many hours and by the motors' change of temperature, (4,)."""
+    assert fresh.calibration is not None
+    made = Moment(MADE_S, dict.fromkeys(JOINTS, WARM_C))
+    warm_C = {joint: WARM_C + more for joint, more in zip(JOINTS, warmer_K, strict=True)}
+    now = Moment(MADE_S + 3600.0 * hours, warm_C)
+    stale = fresh.with_calibration(replace(fresh.calibration, made=made))
+    return stale, stale.with_calibration(aged(stale.calibration, stale.drift, now))
+
+
+def after_refresh(old: Robot, runs: Sequence[LoadedRun]) -> tuple[Robot | None, str]:
+    """The robot with what the pushes taught, None where that was refused, and what is said of it."""
+    if not runs:
+        return old, "nothing to do"
+    learnt = refresh(old, list(runs))
+    said = f"{learnt.verdict.value} {'; '.join(learnt.reasons)}"
+    if learnt.calibration is not None and learnt.verdict.value == "accepted":
+        return old.with_calibration(learnt.calibration), said
+    return None, said
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -204,26 +238,28 @@ def main(arguments: Sequence[str] | None = None) -> None:
     )
     o = parser.parse_args(arguments)
     results = Results(__file__, o.json, arguments)
-    jobs = [
-        (s, o.reference, o.hours, o.warmer, o.times, o.masses)
-        for s in range(o.first, o.first + o.robots)
-    ]
-    cases: list[Case] = []
-    times = []
-    counts = []
-    with Pool(o.jobs) as pool:
-        for seed, (found, time_s, count, said) in zip(
-            range(o.first, o.first + o.robots), pool.imap(one_robot, jobs), strict=True
-        ):
+    seeds = range(o.first, o.first + o.robots)
+    jobs = [Job(seed, o.reference, o.hours, o.warmer, o.times, o.masses) for seed in seeds]
+    tell(results, asked(jobs, o.jobs))
+    results.keep()
+
+
+def asked(jobs: Sequence[Job], processes: int) -> list[Drifted]:
+    """Every robot, in so many processes; each is told of when it is done."""
+    found = []
+    with Pool(processes) as pool:
+        for job, each in zip(jobs, pool.imap(one_robot, jobs), strict=True):
             print(
-                f"  {seed}: refresh {count} pushes, {time_s:.0f} s, {said}",
+                f"  {job.seed}: refresh {each.pushes} pushes, {each.refresh_s:.0f} s, {each.said}",
                 file=sys.stderr,
                 flush=True,
             )
-            cases += found
-            if found:
-                times.append(time_s)
-                counts.append(count)
+            found.append(each)
+    return found
+
+
+def tell(results: Results, robots: Sequence[Drifted]) -> None:
+    """A row for each state of the calibration."""
     results.table(
         "drift",
         {
@@ -234,20 +270,34 @@ def main(arguments: Sequence[str] | None = None) -> None:
             "rms error, g": "{rms:.2f}",
         },
     )
+    weighed = [robot for robot in robots if robot.cases]
+    cases = [case for robot in weighed for case in robot.cases]
     for way in (FRESH, STALE, AGED, REFRESHED):
-        of = [case for case in cases if case.way == way]
-        answers = [case for case in of if np.isfinite(case.error)]
-        if answers:
-            name = way
-            if way == REFRESHED:
-                name = f"{way} (median {np.median(counts):.0f} pushes, {np.median(times):.0f} s)"
-            results.row(
-                "drift", calibration=name, answered=len(answers), asked=len(of),
-                hold=100.0 * np.mean([c.holds for c in answers]), half=1e3 * np.median([c.half for c in answers]),
-                rms=1e3 * np.sqrt(np.mean([c.error**2 for c in answers])),
-                **each_answer([1e3 * c.error for c in answers], [1e3 * c.half for c in answers]),
-            )  # fmt: skip
-    results.keep()
+        name = way
+        if way == REFRESHED and weighed:
+            pushes = np.median([robot.pushes for robot in weighed])
+            refresh_s = np.median([robot.refresh_s for robot in weighed])
+            name = f"{way} (median {pushes:.0f} pushes, {refresh_s:.0f} s)"
+        row(results, name, [case for case in cases if case.way == way])
+
+
+def row(results: Results, name: str, cases: Sequence[Case]) -> None:
+    """One row of the table; none without answers."""
+    answers = [case for case in cases if np.isfinite(case.error)]
+    if not answers:
+        return
+    errors_g = [1e3 * case.error for case in answers]
+    halves_g = [1e3 * case.half for case in answers]
+    results.row(
+        "drift",
+        calibration=name,
+        answered=len(answers),
+        asked=len(cases),
+        hold=100.0 * np.mean([case.holds for case in answers]),
+        half=1e3 * np.median([case.half for case in answers]),
+        rms=1e3 * np.sqrt(np.mean([case.error**2 for case in answers])),
+        **each_answer(errors_g, halves_g),
+    )
 
 
 if __name__ == "__main__":

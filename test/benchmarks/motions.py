@@ -16,7 +16,9 @@ from __future__ import annotations
 
 import tempfile
 import time
+from argparse import Namespace
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -27,7 +29,7 @@ from support.arm_in_motion import FOUR, SIX, Twin, write_robot
 
 from proprio_ros.identification.regression.motion_fit import fit_empty, fit_payload
 from proprio_ros.quantity import Z95
-from proprio_ros.robot import load_robot
+from proprio_ros.robot import Robot, load_robot
 
 
 def row(
@@ -45,6 +47,21 @@ def row(
         over=np.median(half / (Z95 * least)), farthest=Z95 * np.max(np.abs(error) / half),
         **each_answer(1e3 * error, 1e3 * half),
     )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Weighed:
+    """One arm's answer: error, half interval, and the smallest standard deviation there is [kg].
+
+    Attributes:
+        cpu_s: The processor's time for it [s].
+    """
+
+    mass: float
+    error: float
+    half: float
+    least: float
+    cpu_s: float
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -78,45 +95,48 @@ def main(arguments: Sequence[str] | None = None) -> None:
     build = SIX if options.joints == 6 else FOUR
     with tempfile.TemporaryDirectory() as folder:
         robot = load_robot(write_robot(Path(folder), build=build))
-    loaded_s = options.loaded_seconds or options.seconds
-    rows = []
-    seconds = []
+    found = []
     for seed in range(options.first, options.first + options.arms):
         arm = Twin(seed, build, teeth=options.teeth)
-        mass, centre = held = arm.payload(np.random.default_rng(10_000 + seed))
-        empty = arm.record("empty", options.seconds)
-        loaded = arm.record("loaded", loaded_s, held)
-        if options.empty:
-            mass = 0.0
-            loaded = arm.record("empty again", loaded_s)
-        more = [arm.record("baseline", loaded_s)] if options.baseline else []
-        begun_s = time.process_time()
-        fit = fit_payload(
-            robot,
-            [loaded],
-            fit_empty(robot, [empty]),
-            empty=more,
-        )
-        seconds.append(time.process_time() - begun_s)
-        error = float(fit.values[0]) - mass
-        half = fit.quantile * float(fit.std[0])
-        truths = [arm.truths[motion.name] for motion in (empty, loaded, *more)]
-        least = bound(
-            arm,
-            truths[0],
-            truths[1],
-            mass,
-            centre,
-            more=truths[2:],
-        )
-        rows.append((mass, error, half, least))
+        each = weigh(robot, arm, options)
+        found.append(each)
         print(
-            f"{seed}: {1e3 * mass:6.0f} g, error {1e3 * error:+6.1f} g, half interval {1e3 * half:5.1f} g, "
-            f"{half / (Z95 * least):.2f} of the smallest",
+            f"{seed}: {1e3 * each.mass:6.0f} g, error {1e3 * each.error:+6.1f} g, half interval {1e3 * each.half:5.1f} g, "
+            f"{each.half / (Z95 * each.least):.2f} of the smallest",
             flush=True,
         )
-    answers = np.array(rows)
-    mass = answers[:, 0]
+    tell(results, found, build.payload_kg)
+    print(f"{np.median([each.cpu_s for each in found]):.2f} s of CPU each")
+    results.keep()
+
+
+def weigh(robot: Robot, arm: Twin, options: Namespace) -> Weighed:
+    """Records an empty motion and a loaded one, and weighs what is held beside what could be known at best.
+
+    Args:
+        robot: What is known of the arm.
+        arm: Who moves.
+        options: How long, whether anything is held, and whether one more empty motion counts.
+    """
+    loaded_s = options.loaded_seconds or options.seconds
+    mass, centre = held = arm.payload(np.random.default_rng(10_000 + arm.seed))
+    empty = arm.record("empty", options.seconds)
+    loaded = arm.record("loaded", loaded_s, held)
+    if options.empty:
+        mass = 0.0
+        loaded = arm.record("empty again", loaded_s)
+    more = [arm.record("baseline", loaded_s)] if options.baseline else []
+    begun_s = time.process_time()
+    fit = fit_payload(robot, [loaded], fit_empty(robot, [empty]), empty=more)
+    cpu_s = time.process_time() - begun_s
+    truths = [arm.truths[motion.name] for motion in (empty, loaded, *more)]
+    least = bound(arm, truths[0], truths[1], mass, centre, more=truths[2:])
+    error = float(fit.values[0]) - mass
+    return Weighed(mass, error, fit.quantile * float(fit.std[0]), least, cpu_s)
+
+
+def tell(results: Results, found: Sequence[Weighed], payload_kg: tuple[float, float]) -> None:
+    """A row for all, and one for each range of masses [kg]."""
     results.table(
         "motions",
         {
@@ -130,17 +150,17 @@ def main(arguments: Sequence[str] | None = None) -> None:
             "farthest, in sd": "{farthest:.1f}",
         },
     )
+    answers = np.array([(each.mass, each.error, each.half, each.least) for each in found])
+    mass = answers[:, 0]
     row(results, "all", answers)
-    middle_kg = float(np.sqrt(np.prod(build.payload_kg)))
+    middle_kg = float(np.sqrt(np.prod(payload_kg)))
     for name, those in (
         ("nothing held", mass == 0.0),
         (f"up to {1e3 * middle_kg:.0f} g", (mass > 0.0) & (mass <= middle_kg)),
-        (f"up to {1e3 * build.payload_kg[1]:.0f} g", mass > middle_kg),
+        (f"up to {1e3 * payload_kg[1]:.0f} g", mass > middle_kg),
     ):
         if those.any():
             row(results, name, answers[those])
-    print(f"{np.median(seconds):.2f} s of CPU each")
-    results.keep()
 
 
 if __name__ == "__main__":

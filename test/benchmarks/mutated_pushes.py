@@ -13,7 +13,7 @@ from __future__ import annotations
 import functools
 import os
 import tempfile
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -523,38 +523,90 @@ def main(arguments: Sequence[str] | None = None) -> None:
     results = Results(__file__, options.json, arguments)
     tallies = {kind: Tally() for kind in options.only}
     unmutated = Tally()
-    halves: list[float] = []
+    halves_g = []
     for kind, arm, random in cases(
         options.first,
         options.count,
         options.only,
         RECORDINGS.is_dir(),
     ):
-        push = None
         state = random.bit_generator.state
-        try:
-            asked, push = KINDS[kind](arm, random)
-            found = answer(asked, push.facts)
-        except ProprioError as error:
-            found = getattr(error, "code", type(error).__name__)
+        found, push = ask_mutated(kind, arm, random)
         random.bit_generator.state = state
         if kind != "two objects":
             push = push if kind.startswith("merged") and push else arm.pushes(random)
-            plain = answer(
-                Asked(arm.robot, runs_of(arm.robot, push.recording)),
-                push.facts,
-            )
-            if unmutated.add(plain, push.truth_kg) is not None:
-                low, high = plain.values[0].ci95
-                halves.append(0.5e3 * (high - low))
-        truth_kg = push.nearest_kg(found) if push is not None else 0.0
-        off = tallies[kind].add(found, truth_kg)
-        if options.show and off is not None and off > FAR_SD:
-            value = found.values[0]
-            print(
-                f"{kind}: {1e3 * value.value:.1f} +- {1e3 * value.std:.1f} g of {1e3 * truth_kg:.1f} g, "
-                f"{off:.1f} sd, {push.recording.name}, {[r.code for r in found.reasons]}"
-            )
+            half_g = ask_unmutated(arm, push, unmutated)
+            if half_g is not None:
+                halves_g.append(half_g)
+        judge(found, push, tallies[kind], kind if options.show else None)
+    tell(results, tallies, unmutated, float(np.median(halves_g or [np.nan])))
+    results.keep()
+
+
+def ask_mutated(
+    kind: str, arm: Arm, random: np.random.Generator
+) -> tuple[Estimate | str, Push | None]:
+    """Weighs by pushes of which something is wrong.
+
+    Args:
+        kind: What is wrong.
+        arm: Who pushes.
+        random: Draws the pushes, and how they are changed.
+
+    Returns:
+        The answer, or why there is none; and the pushes, None where they cannot be made.
+    """
+    push = None
+    try:
+        asked, push = KINDS[kind](arm, random)
+        return answer(asked, push.facts), push
+    except ProprioError as error:
+        return getattr(error, "code", type(error).__name__), push
+
+
+def ask_unmutated(arm: Arm, push: Push, tally: Tally) -> float | None:
+    """Weighs by the same pushes as they were; half the answer's interval [g], None without an answer."""
+    asked = Asked(arm.robot, runs_of(arm.robot, push.recording))
+    plain = answer(asked, push.facts)
+    if tally.add(plain, push.truth_kg) is None:
+        return None
+    low, high = plain.values[0].ci95
+    return 0.5e3 * (high - low)
+
+
+def judge(found: Estimate | str, push: Push | None, tally: Tally, shown_as: str | None) -> None:
+    """Counts an answer.
+
+    Args:
+        found: The answer, or why there is none.
+        push: By which it was weighed.
+        tally: Counts it.
+        shown_as: The kind, where an answer that is far off is to be printed.
+    """
+    truth_kg = push.nearest_kg(found) if push is not None else 0.0
+    off = tally.add(found, truth_kg)
+    if shown_as is not None and off is not None and off > FAR_SD:
+        value = found.values[0]
+        print(
+            f"{shown_as}: {1e3 * value.value:.1f} +- {1e3 * value.std:.1f} g of {1e3 * truth_kg:.1f} g, "
+            f"{off:.1f} sd, {push.recording.name}, {[r.code for r in found.reasons]}"
+        )
+
+
+def tell(
+    results: Results,
+    tallies: Mapping[str, Tally],
+    unmutated: Tally,
+    half_g: float,
+) -> None:
+    """A row for each kind, one for all, and one for the pushes as they were.
+
+    Args:
+        results: Has the table.
+        tallies: By kind.
+        unmutated: Of the pushes as they were.
+        half_g: Their median half interval [g].
+    """
     results.table(
         "mutated pushes",
         {
@@ -578,14 +630,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
             )
         whole.farthest = max(whole.farthest, tally.farthest)
     results.row("mutated pushes", **whole.row("all"))
-    plain_row = unmutated.row("nothing")
-    results.row(
-        "mutated pushes",
-        **plain_row,
-        half_g=float(np.median(halves or [np.nan])),
-    )
-    print(f"median half interval of the pushes as they were: {np.median(halves or [np.nan]):.2f} g")
-    results.keep()
+    results.row("mutated pushes", **unmutated.row("nothing"), half_g=half_g)
+    print(f"median half interval of the pushes as they were: {half_g:.2f} g")
 
 
 if __name__ == "__main__":

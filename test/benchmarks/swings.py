@@ -10,7 +10,9 @@ weight that the gears carry, which our model does not know. Two known loads cali
 from __future__ import annotations
 
 import tempfile
+from argparse import Namespace
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -74,62 +76,92 @@ def facts() -> PayloadFacts:
     )
 
 
+@dataclass(frozen=True)
+class Pendulums:
+    """Several on one machine, each with a load; terms of each in arrays, (n,).
+
+    Attributes:
+        moment: Of the weight when it is level [N m].
+        inertia: About the pivot [kg m2].
+        factor: By which friction differs from swing to swing.
+        machine: The drive train, as `machine_of` draws it.
+    """
+
+    moment: np.ndarray
+    inertia: np.ndarray
+    factor: np.ndarray
+    machine: dict[str, Any]
+    harsh: bool
+
+    def acceleration(self, q: np.ndarray, v: np.ndarray) -> np.ndarray:
+        """At angles [rad] and speeds [rad/s], (n,) [rad/s2]."""
+        machine = self.machine
+        weight = self.moment * np.sin(q)
+        dry = machine["coulomb"] + (machine["load"] * np.abs(weight) if self.harsh else 0.0)
+        dry = dry * (1.0 + machine["rise"] * np.exp(-((v / machine["rise_speed"]) ** 2)))
+        friction = self.factor * (dry * np.tanh(v / 0.005) + machine["viscous"] * v)
+        return (-weight - friction) / self.inertia
+
+    def path(self, start: np.ndarray) -> np.ndarray:
+        """Angles every `STEP_S`, by Runge and Kutta's fourth order, from rest at `start` [rad], (steps + 1, n)."""
+        q = start.copy()
+        v = np.zeros(len(start))
+        track = [start.copy()]
+        for _ in range(round(LASTS_S / STEP_S)):
+            a1 = self.acceleration(q, v)
+            a2 = self.acceleration(
+                q + 0.5 * STEP_S * v,
+                v + 0.5 * STEP_S * a1,
+            )
+            a3 = self.acceleration(
+                q + 0.5 * STEP_S * (v + 0.5 * STEP_S * a1),
+                v + 0.5 * STEP_S * a2,
+            )
+            a4 = self.acceleration(
+                q + STEP_S * (v + 0.5 * STEP_S * a2),
+                v + STEP_S * a3,
+            )
+            q = q + STEP_S * v + STEP_S**2 / 6.0 * (a1 + a2 + a3)
+            v = v + STEP_S / 6.0 * (a1 + 2.0 * a2 + 2.0 * a3 + a4)
+            track.append(q)
+        return np.array(track)
+
+
 def released(
     rng: np.random.Generator,
     masses: np.ndarray,
     machine: dict[str, Any],
     harsh: bool,
 ) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Stamps [s] and readings [rad] of one swing per mass; the servo holds until RELEASED_S."""
+    """Stamps [s] and readings [rad] of one swing per mass; the servo holds until RELEASED_S.
+
+    Args:
+        rng: Draws where each begins, its friction and its readings.
+        masses: Of the loads [kg].
+        machine: The drive train.
+        harsh: Whether friction grows with the weight that the gears carry.
+    """
     count = len(masses)
-    moment = (masses * ARM_M + ROD_KG * ROD_M) * GRAVITY
-    inertia = machine["armature"] + ROD_KG * ROD_M**2 + 1e-5 + masses * (ARM_M**2 + SPREAD_M2)
-    factor = 1.0 + 0.08 * rng.standard_normal(count)
-    start = -rng.uniform(1.2, 1.6, count)
+    pendulums = Pendulums(
+        moment=(masses * ARM_M + ROD_KG * ROD_M) * GRAVITY,
+        inertia=machine["armature"] + ROD_KG * ROD_M**2 + 1e-5 + masses * (ARM_M**2 + SPREAD_M2),
+        factor=1.0 + 0.08 * rng.standard_normal(count),
+        machine=machine,
+        harsh=harsh,
+    )
+    path = pendulums.path(-rng.uniform(1.2, 1.6, count))
+    return [read(rng, path[:, column]) for column in range(count)]
 
-    def rate(
-        q: np.ndarray,
-        v: np.ndarray,
-    ) -> np.ndarray:
-        weight = moment * np.sin(q)
-        dry = machine["coulomb"] + (machine["load"] * np.abs(weight) if harsh else 0.0)
-        dry = dry * (1.0 + machine["rise"] * np.exp(-((v / machine["rise_speed"]) ** 2)))
-        return (-weight - factor * (dry * np.tanh(v / 0.005) + machine["viscous"] * v)) / inertia
 
-    q, v, track = start.copy(), np.zeros(count), [start.copy()]
-    for _ in range(round(LASTS_S / STEP_S)):
-        a1 = rate(q, v)
-        a2 = rate(
-            q + 0.5 * STEP_S * v,
-            v + 0.5 * STEP_S * a1,
-        )
-        a3 = rate(
-            q + 0.5 * STEP_S * (v + 0.5 * STEP_S * a1),
-            v + 0.5 * STEP_S * a2,
-        )
-        a4 = rate(
-            q + STEP_S * (v + 0.5 * STEP_S * a2),
-            v + STEP_S * a3,
-        )
-        q = q + STEP_S * v + STEP_S**2 / 6.0 * (a1 + a2 + a3)
-        v = v + STEP_S / 6.0 * (a1 + 2.0 * a2 + 2.0 * a3 + a4)
-        track.append(q)
-    path = np.array(track)
-    swings = []
-    for column in range(count):
-        stamps = np.arange(0.0, LASTS_S, PERIOD_S) + 3e-4 * rng.standard_normal(
-            round(LASTS_S / PERIOD_S)
-        )
-        # the register is renewed every 8 ms
-        seen = AGE_S * np.floor(stamps / AGE_S + rng.uniform()) - RELEASED_S
-        row = np.clip(
-            np.rint(seen / STEP_S).astype(int),
-            0,
-            len(path) - 1,
-        )
-        reading = path[row, column] + 5e-4 * rng.standard_normal(len(row))
-        swings.append((stamps, COUNT_RAD * np.rint(reading / COUNT_RAD)))
-    return swings
+def read(rng: np.random.Generator, path: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Stamps [s] and what the encoder says at them [rad] of angles every `STEP_S`, in a register that is renewed every 8 ms."""
+    stamps = np.arange(0.0, LASTS_S, PERIOD_S) + 3e-4 * rng.standard_normal(
+        round(LASTS_S / PERIOD_S)
+    )
+    seen = AGE_S * np.floor(stamps / AGE_S + rng.uniform()) - RELEASED_S
+    row = np.clip(np.rint(seen / STEP_S).astype(int), 0, len(path) - 1)
+    reading = path[row] + 5e-4 * rng.standard_normal(len(row))
+    return stamps, COUNT_RAD * np.rint(reading / COUNT_RAD)
 
 
 def as_run(
@@ -166,6 +198,14 @@ def machine_of(rng: np.random.Generator) -> dict[str, Any]:
     }
 
 
+@dataclass(frozen=True)
+class Swung:
+    """An answer: its error as a part of the truth, and in standard deviations."""
+
+    off: float
+    sigmas: float
+
+
 def main(arguments: Sequence[str] | None = None) -> None:
     """Print the error and the interval of each, and how many held."""
     parser = parser_of(__doc__)
@@ -173,53 +213,61 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--harsh", action="store_true")
     options = parser.parse_args(arguments)
     results = Results(__file__, options.json, arguments)
-    count = options.pendulums
-    harsh = options.harsh
     rng = np.random.default_rng(7)
-    off = []
-    sigmas = []
-    refused = 0
+    found = []
     with tempfile.TemporaryDirectory() as folder:
         robot = robot_in(Path(folder))
-        for number in range(count):
+        for number in range(options.pendulums):
             machine = machine_of(rng)
             masses = rng.uniform(0.45, 1.3, 3)
             while abs(masses[0] - masses[1]) < 0.2:
                 masses[:2] = rng.uniform(0.45, 1.3, 2)
-            runs = [
-                as_run(f"s{n}", *swing)
-                for n, swing in enumerate(released(rng, masses, machine, harsh))
-            ]
-            known = [
-                LoadedRun(run, KnownLoad(float(m), facts()))
-                for run, m in zip(runs[:2], masses[:2], strict=True)
-            ]
+            swings = released(rng, masses, machine, options.harsh)
+            runs = [as_run(f"s{n}", *swing) for n, swing in enumerate(swings)]
             try:
-                learnt = calibrate(robot, known)
-                if learnt.calibration is None or learnt.verdict.value != "accepted":
-                    raise ProprioError("; ".join(learnt.reasons))
-                estimate = weigh(
-                    robot.with_calibration(learnt.calibration),
-                    runs[2:],
-                    facts(),
-                )
+                each = swung(robot, runs, masses, f"{number}")
             except ProprioError as error:
-                refused += 1
                 print(f"{number}: {error}", flush=True)
-                continue
-            value = estimate.values[0]
-            if not isinstance(value.value, float) or not isinstance(value.std, float):
-                refused += 1
-                print(
-                    f"{number}: {estimate.verdict.value}: {'; '.join(estimate.reasons)}", flush=True
-                )
-                continue
-            off.append(100.0 * (value.value / masses[2] - 1.0))
-            sigmas.append((value.value - masses[2]) / value.std)
-            print(
-                f"{number}: {masses[2]:.3f} kg {off[-1]:+.2f} %, sd {100.0 * value.std / masses[2]:.2f} %, {sigmas[-1]:+.1f} sd",
-                flush=True,
-            )
+            else:
+                found.append(each)
+    tell(results, found, options)
+    results.keep()
+
+
+def swung(robot: Robot, runs: Sequence[Run], masses: np.ndarray, name: str) -> Swung:
+    """The third load by its swing, calibrated by those of two known ones; told in a line.
+
+    Args:
+        robot: The pendulum.
+        runs: A swing for each load.
+        masses: Of the loads [kg], (3,).
+        name: Of the line.
+
+    Raises:
+        ProprioError: The calibration or the weighing is refused.
+    """
+    known = [
+        LoadedRun(run, KnownLoad(float(mass), facts()))
+        for run, mass in zip(runs[:2], masses[:2], strict=True)
+    ]
+    learnt = calibrate(robot, known)
+    if learnt.calibration is None or learnt.verdict.value != "accepted":
+        raise ProprioError("; ".join(learnt.reasons))
+    estimate = weigh(robot.with_calibration(learnt.calibration), runs[2:], facts())
+    value = estimate.values[0]
+    if not isinstance(value.value, float) or not isinstance(value.std, float):
+        raise ProprioError(f"{estimate.verdict.value}: {'; '.join(estimate.reasons)}")
+    truth = masses[2]
+    found = Swung(value.value / truth - 1.0, (value.value - truth) / value.std)
+    print(
+        f"{name}: {truth:.3f} kg {100.0 * found.off:+.2f} %, sd {100.0 * value.std / truth:.2f} %, {found.sigmas:+.1f} sd",
+        flush=True,
+    )
+    return found
+
+
+def tell(results: Results, found: Sequence[Swung], options: Namespace) -> None:
+    """The row of all answers; none without any."""
     results.table(
         "swings",
         {
@@ -230,13 +278,19 @@ def main(arguments: Sequence[str] | None = None) -> None:
             "farthest, in sd": "{farthest:.1f}",
         },
     )
-    if off:
+    if found:
+        off = 100.0 * np.abs([each.off for each in found])
+        sigmas = np.abs([each.sigmas for each in found])
         results.row(
-            "swings", pendulums="harsh" if harsh else "as the model knows them", answered=len(off), asked=count,
-            mean=np.mean(np.abs(off)), worst=np.max(np.abs(off)), hold=100.0 * np.mean(np.abs(sigmas) < Z95),
-            farthest=np.max(np.abs(sigmas)),
-        )  # fmt: skip
-    results.keep()
+            "swings",
+            pendulums="harsh" if options.harsh else "as the model knows them",
+            answered=len(found),
+            asked=options.pendulums,
+            mean=np.mean(off),
+            worst=np.max(off),
+            hold=100.0 * np.mean(sigmas < Z95),
+            farthest=np.max(sigmas),
+        )
 
 
 if __name__ == "__main__":
