@@ -21,7 +21,7 @@ from proprio_ros.identification.regression.motion_equations import (
     own_terms,
 )
 from proprio_ros.identification.regression.motion_prior import priors_of_file
-from proprio_ros.identification.regression.solve import Prior, posterior
+from proprio_ros.identification.regression.solve import Prior, distance_from_prior, posterior
 from proprio_ros.recordings.motions import Motion
 from proprio_ros.records import FloatArray
 from proprio_ros.robot import Robot
@@ -157,24 +157,25 @@ class Fitting:
             dtype=bool,
         )
         rest = torque
-        pull = 0.0
+        normal = np.zeros_like(pooled.products[0])
+        solved = kept
         for _ in range(ROUNDS):
             weight = np.where(
                 moved,
                 HOP_SHARE / np.maximum(variance, 1e-18),
                 0.0,
             )
-            values, pull = self._solved(
-                np.tensordot(weight, pooled.products, 1),
-                kept,
-            )
+            normal = np.tensordot(weight, pooled.products, 1)
+            solved = kept
+            values = self._solved(normal, solved)
             with_torque = np.append(values, -1.0)
             rest = np.maximum(with_torque @ pooled.products @ with_torque, 1e-9 * torque)
             variance = pooled.mean_of(rest)
-            kept &= ~(self.brakes & (values < 0.0))
+            kept = kept & ~(self.brakes & (values < 0.0))
         logs = np.log(np.where(moved, np.maximum(variance, 1e-18), 1.0))
         share = np.sqrt(rest / np.maximum(torque, 1e-18))
-        cost = 0.5 * float(pooled.windows @ logs) + pull + pooled.log_scale
+        improbable = distance_from_prior(*self._asked(normal, solved))
+        cost = 0.5 * float(pooled.windows @ logs) + 0.5 * improbable + pooled.log_scale
         of_all = float(np.sqrt(rest.sum() / max(float(torque.sum()), 1e-18)))
         return Fit(cost, np.where(moved, share, 0.0), of_all)
 
@@ -199,20 +200,22 @@ class Fitting:
             sum(part.log_scale for part in parts),
         )
 
-    def _solved(self, normal: FloatArray, kept: NDArray[np.bool_]) -> tuple[FloatArray, float]:
-        """The unknowns that are kept by weighted products, the others 0, and how improbable they are by their prior."""
+    def _solved(self, normal: FloatArray, kept: NDArray[np.bool_]) -> FloatArray:
+        """The unknowns that are kept by weighted products, the others 0."""
+        values = np.zeros(len(kept))
+        values[kept], _ = posterior(*self._asked(normal, kept))
+        return values
+
+    def _asked(
+        self, normal: FloatArray, kept: NDArray[np.bool_]
+    ) -> tuple[FloatArray, FloatArray, Prior]:
+        """What the data know of the unknowns that are kept, what they say of them, and their prior."""
         inside = np.ix_(kept, kept)
         prior = Prior(
             self.prior.values[kept],
             self.prior.covariance[inside],
         )
-        side = normal[:-1, -1][kept]
-        information = normal[:-1, :-1][inside]
-        found, _ = posterior(information, side, prior)
-        values = np.zeros(len(kept))
-        values[kept] = found
-        # at the optimum what the data still pull with is what the prior holds against
-        return values, 0.5 * float((found - prior.values) @ (side - information @ found))
+        return normal[:-1, :-1][inside], normal[:-1, -1][kept], prior
 
 
 @dataclass(frozen=True)
