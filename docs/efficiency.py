@@ -47,6 +47,7 @@ LABELS: Mapping[str, str] = {
     "simulated.container, not calibrated": "sphere, {level}, not calibrated",
     "simulated.blocks": "block, {recordings}",
     "so101.so101": "{held}",
+    "so101_differ.so101": "{held}, recordings differ as published",
     "spheres.spheres": "torque {torque:g} mN m, {runs}",
     "squeezes.squeezes": "{kPa:g} kPa, {ratio:g}",
     "whose_calibration_driven.pairs": "{pair}",
