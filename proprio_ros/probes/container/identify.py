@@ -141,8 +141,7 @@ def find_sphere(
                 0, f"the sphere bounces too chaotically to determine its mass: {better}"
             )
             return _no_answer(robot, len(runs), found)
-        nominal = search.solve(Role.FIXED)
-        opened = search.solve(Role.ESTIMATED, nominal)
+        nominal, opened = search.fits()
     return WeighedSphere(nominal, opened, found, len(runs), search, against=against).estimate()
 
 

@@ -22,7 +22,7 @@ from proprio_ros.identification.fit import (
 )
 from proprio_ros.identification.gates import MIN_USED
 from proprio_ros.identification.posterior import Posterior
-from proprio_ros.identification.prepared_runs import PreparedRun, joints_of
+from proprio_ros.identification.prepared_runs import PreparedRun
 from proprio_ros.identification.unknowns import Role
 from proprio_ros.probes.container.problem import (
     SIGNALS,
@@ -185,8 +185,7 @@ class SphereSearch:
 
     def fits(self) -> tuple[FitResult, FitResult]:
         """The fit with the robot as it is stated, and the one in which all that is open moves."""
-        known = self.robot.is_calibrated(joints_of(self.runs))
-        return fit_both(self.solve, lambda _, opened: not opened.explains and not known)
+        return fit_both(self.solve, unexplained)
 
 
 def _carried_over(fit: FitResult, problem: ContainerProblem) -> np.ndarray:
