@@ -244,6 +244,20 @@ def test_intervals_on_robots_that_learnt_themselves() -> None:
     assert max(answer.shares["widening"] for answer in answers) < 0.05, answers
 
 
+def test_a_fit_that_ended_beside_the_sphere_is_tried_from_every_start() -> None:
+    """A robot that had learnt itself read 33.9 g for 38.6: from where the fit with the stated robot ended, there was no way out."""
+    import spheres
+
+    made = spheres.recorded(9509, spheres.EFFECTS, 0.0)
+    learnt = spheres.calibrated(made)
+    assert learnt is not None
+    estimate = find_sphere(learnt[0], made.rolling[:1], spheres.FACTS, None, made.baseline)
+    assert estimate.verdict is Verdict.ACCEPTED, estimate.reasons
+    low, high = estimate.value("sphere_mass").ci95
+    assert low < made.sphere.sphere_kg < high
+    assert estimate.fit is not None and estimate.fit.reduced_chi2 < 1.3
+
+
 # --- runs that do not quite agree ------------------------------------------------------------------------------------
 
 
