@@ -228,7 +228,7 @@ def goals_alone() -> Row:
     """Arms of servos that report no current."""
     every = numbers("so101", "so101", held="all")
     return (
-        "ten simulated SO-101 that record goals and positions alone, 30 Hz; nothing to 200 g",
+        f"simulated SO-101 that record goals and positions alone, 30 Hz; nothing to 200 g, {every['asked']} questions",
         f"rms {every['rms']:.1f} g, worst {every['worst']:.1f} g",
         f"{_all(every['hold'], every['answered'])}; {every['asked'] - every['answered']} refused",
     )
