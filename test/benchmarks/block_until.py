@@ -16,6 +16,7 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from multiprocessing import Pool
+from typing import Any
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 os.environ.setdefault("OMP_NUM_THREADS", "1")
@@ -102,72 +103,84 @@ def half_of(estimate: Estimate) -> float:
 
 
 def one_robot(job: tuple[int, Until]) -> list[Case]:
+    """Blocks squeezed by one gripper until sure, and by the fixed sequence."""
     seed, until = job
     robot = calibrated(seed)
     rng = np.random.default_rng([seed, 5])
-    sequence = replace(load_sequence("block_until", ROBOT), until=until)
     cases = []
     for _ in range(BLOCKS):
         modulus = float(np.exp(rng.uniform(np.log(4e3), np.log(2e5))))
         ratio = float(rng.uniform(0.1, 0.4))
         block = SoftBlock(modulus, gap_m=GAP_M, poissons_ratio=ratio, damping=0.5)
-        runs, decision, decided, time_s = squeezed(
-            robot,
-            Hand(seed, block),
-            sequence,
-        )
-        estimate = find_softness(robot, runs, FACTS)
-        half = half_of(estimate)
-        told = estimate.value("youngs_modulus")
-        answered = estimate.verdict.value == "accepted" and isinstance(told.value, float)
-        name = f"robot {seed}, {1e-3 * modulus:.0f} kPa"
-        if not answered or not isinstance(told.value, float):
-            print(
-                f"{name}: {estimate.verdict.value}: {'; '.join(estimate.reasons)}", file=sys.stderr
-            )
-            nan = float("nan")
-            cases.append(
-                Case(
-                    modulus,
-                    "refused",
-                    nan,
-                    nan,
-                    False,
-                    False,
-                    len(runs),
-                    time_s,
-                    nan,
-                    False,
-                    tuple(decided),
-                )
-            )
-            continue
-        other = Hand(seed, block)
-        fixed = load_sequence("softness", ROBOT)
-        fixed_runs = list[Run]()
-        reached = False
-        began = other.time_s
-        fixed_s = float("nan")
-        while not reached and len(fixed_runs) < FIXED_AT_MOST:
-            for probe in fixed.runs:
-                fixed_runs += made(replace(fixed, runs=(probe,)), other)[1]
-                fixed_s = other.time_s - began
-                reached = half_of(find_softness(robot, fixed_runs, FACTS)) <= half
-                if reached:
-                    break
-        low, high = told.ci95
-        cases.append(
-            Case(
-                modulus, decision.ended_by, told.value / modulus - 1.0, half, low <= modulus <= high,
-                half <= 1.0001 * until.half_interval, len(runs), time_s, fixed_s, reached, tuple(decided),
-            )
-        )  # fmt: skip
-        print(
-            f"{name}: {100 * cases[-1].error:+.1f} +- {100 * half:.1f} % by {decision.ended_by}, {len(runs)} runs, {time_s:.0f} s, "
-            f"fixed {fixed_s:.0f} s",
-            file=sys.stderr,
-        )
+        cases.append(one_block(robot, seed, block, until))
     return cases
+
+
+def one_block(robot: Robot, seed: int, block: SoftBlock, until: Until) -> Case:
+    """A block squeezed until sure, and how long the fixed sequence takes to be as sure.
+
+    Args:
+        robot: The gripper, as it was calibrated.
+        seed: Of the hidden one.
+        block: What is between its fingers.
+        until: The target.
+    """
+    modulus = block.youngs_modulus_Pa
+    sequence = replace(load_sequence("block_until", ROBOT), until=until)
+    runs, decision, decided, time_s = squeezed(
+        robot,
+        Hand(seed, block),
+        sequence,
+    )
+    estimate = find_softness(robot, runs, FACTS)
+    told = estimate.value("youngs_modulus")
+    name = f"robot {seed}, {1e-3 * modulus:.0f} kPa"
+    if estimate.verdict.value != "accepted" or not isinstance(told.value, float):
+        print(f"{name}: {estimate.verdict.value}: {'; '.join(estimate.reasons)}", file=sys.stderr)
+        return refused(modulus, len(runs), time_s, tuple(decided))
+    half = half_of(estimate)
+    fixed_s, reached = repeat_fixed(robot, Hand(seed, block), half)
+    low, high = told.ci95
+    case = Case(
+        modulus, decision.ended_by, told.value / modulus - 1.0, half, low <= modulus <= high,
+        half <= 1.0001 * until.half_interval, len(runs), time_s, fixed_s, reached, tuple(decided),
+    )  # fmt: skip
+    print(
+        f"{name}: {100 * case.error:+.1f} +- {100 * half:.1f} % by {decision.ended_by}, {len(runs)} runs, {time_s:.0f} s, "
+        f"fixed {fixed_s:.0f} s",
+        file=sys.stderr,
+    )
+    return case
+
+
+def refused(modulus: float, runs: int, time_s: float, decided_s: tuple[float, ...]) -> Case:
+    """No answer: what would be measured of one is nan."""
+    nan = float("nan")
+    return Case(modulus, "refused", nan, nan, False, False, runs, time_s, nan, False, decided_s)
+
+
+def repeat_fixed(robot: Robot, hand: Hand, half: float) -> tuple[float, bool]:
+    """Makes the fixed sequence, squeeze by squeeze, until it is as sure or `FIXED_AT_MOST` runs are made.
+
+    Args:
+        robot: The gripper, as it was calibrated.
+        hand: The hidden one, with the block.
+        half: Half interval to reach, as a part of the modulus.
+
+    Returns:
+        How long that took [s], and whether it became as sure.
+    """
+    fixed = load_sequence("softness", ROBOT)
+    runs = list[Run]()
+    began = hand.time_s
+    fixed_s = float("nan")
+    while len(runs) < FIXED_AT_MOST:
+        for probe in fixed.runs:
+            runs += made(replace(fixed, runs=(probe,)), hand)[1]
+            fixed_s = hand.time_s - began
+            if half_of(find_softness(robot, runs, FACTS)) <= half:
+                return fixed_s, True
+    return fixed_s, False
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -189,7 +202,6 @@ def main(arguments: Sequence[str] | None = None) -> None:
             for found in pool.imap(one_robot, [(seed, until) for seed in seeds])
             for case in found
         ]
-    answered = [case for case in cases if case.ended_by != "refused"]
     results.table(
         "block_until",
         {
@@ -205,18 +217,32 @@ def main(arguments: Sequence[str] | None = None) -> None:
             "ended by": "{ends}",
         },
     )
+    answered = [case for case in cases if case.ended_by != "refused"]
     if answered:
-        decided = np.concatenate([case.decided_s for case in answered])
-        results.row(
-            "block_until", answered=len(answered), asked=len(cases), met=sum(c.met for c in answered),
-            half=100.0 * np.median([c.half for c in answered]), hold=sum(c.holds for c in answered),
-            rms=100.0 * np.sqrt(np.mean([c.error**2 for c in answered])), time_s=np.median([c.time_s for c in answered]),
-            runs=np.median([c.runs for c in answered]), over_fixed=np.median([c.time_s / c.fixed_s for c in answered]),
-            never=sum(not c.fixed_reached for c in answered), decided_s=np.median(decided) if len(decided) else 0.0,
-            longest_s=decided.max(initial=0.0), ends=endings(case.ended_by for case in cases),
-            **each_answer([100.0 * c.error for c in answered], [100.0 * c.half for c in answered]),
-        )  # fmt: skip
+        ends = endings(case.ended_by for case in cases)
+        results.row("block_until", asked=len(cases), ends=ends, **figures(answered))
     results.keep()
+
+
+def figures(answered: Sequence[Case]) -> dict[str, Any]:
+    """Counts; errors and half intervals in % of the modulus, times in s."""
+    errors = [100.0 * case.error for case in answered]
+    halves = [100.0 * case.half for case in answered]
+    decided_s = np.concatenate([case.decided_s for case in answered])
+    return {
+        "answered": len(answered),
+        "met": sum(case.met for case in answered),
+        "half": 100.0 * np.median([case.half for case in answered]),
+        "rms": 100.0 * np.sqrt(np.mean([case.error**2 for case in answered])),
+        "hold": sum(case.holds for case in answered),
+        "time_s": np.median([case.time_s for case in answered]),
+        "runs": np.median([case.runs for case in answered]),
+        "over_fixed": np.median([case.time_s / case.fixed_s for case in answered]),
+        "never": sum(not case.fixed_reached for case in answered),
+        "decided_s": np.median(decided_s) if len(decided_s) else 0.0,
+        "longest_s": decided_s.max(initial=0.0),
+        **each_answer(errors, halves),
+    }
 
 
 if __name__ == "__main__":

@@ -215,66 +215,103 @@ def cramer_rao(
     return float(np.sqrt(inverse[0, 0]) * scale[0])
 
 
+@dataclass(frozen=True)
+class Calibrated:
+    """A robot, and the runs by which it was calibrated.
+
+    Attributes:
+        file: The robot before, as its file describes it.
+        reference: Whether a known weight was pushed, too.
+    """
+
+    file: Robot
+    robot: Robot
+    kept: list[PreparedRun]
+    reference: bool
+
+
 def one_robot(job: tuple[int, tuple[str, ...], Spread]) -> tuple[list[Answer], int, int]:
     """Answers of one robot, how many weighings were refused, and how many intervals were asked for."""
     seed, effects, spread = job
     rng = np.random.default_rng(seed)
     hidden = draw_robot(rng, effects, spread)
-    robot = robot_knowing(effects)
-    reference = seed % 2 == 1
-    weight = ball(REFERENCE_KG, 0.04)
-    known = [LoadedRun(run_of(probe, hidden, None, rng)) for probe in EMPTY_PROBES]
-    if reference:
-        probes = [LOADED_PROBES[1], LOADED_PROBES[2], LOADED_PROBES[5]]
-        load = KnownLoad(REFERENCE_KG, facts_of(weight))
-        known += [LoadedRun(run_of(probe, hidden, weight, rng), load) for probe in probes]
+    calibrated = calibration_of(hidden, effects, rng, reference=seed % 2 == 1)
+    if calibrated is None:
+        return [], len(MASSES_KG), len(MASSES_KG)
     answers: list[Answer] = []
-    if set(effects).isdisjoint({*OPEN, *OPEN_OF_ALL, "once_per_turn"} - {"run_torque", "onset"}):
-        # nothing about this robot is open
-        calibrated = robot
-        kept = []
-    else:
-        learnt = calibrate(robot, known)
-        if learnt.calibration is None or learnt.verdict.value != "accepted":
-            return answers, len(MASSES_KG), len(MASSES_KG)
-        calibrated = robot.with_calibration(learnt.calibration)
-        used = {run["name"] for run in learnt.calibration.runs}
-        kept = [
-            prepare_run(
-                robot,
-                k.run,
-                k.load,
-            )
-            for k in known
-            if k.run.name in used
-        ]
-    refused = 0
     for mass in MASSES_KG:
-        probe = LOADED_PROBES[int(rng.integers(len(LOADED_PROBES)))]
-        load = ball(mass, DIAMETER_M)
-        run = run_of(probe, hidden, load, rng)
         try:
-            estimate = weigh(calibrated, [run], facts_of(load))
+            answer = weighed(calibrated, hidden, mass, rng)
         except ProprioError as error:
             raise RuntimeError(f"seed {seed}, {mass} kg: {error}") from error
-        value = estimate.value("payload_mass")
-        if value.value is None:
-            refused += 1
-            continue
-        bound = cramer_rao(robot, hidden, kept, run, load, hidden.stamp_jitter_s)
-        low, high = value.ci95
-        answers.append(
-            Answer(
-                mass,
-                probe.joint,
-                reference,
-                value.value - mass,
-                value.std,
-                bound,
-                bool(low <= mass <= high),
-            )
-        )
-    return answers, refused, len(MASSES_KG)
+        if answer is not None:
+            answers.append(answer)
+    return answers, len(MASSES_KG) - len(answers), len(MASSES_KG)
+
+
+def calibration_of(
+    hidden: HiddenRobot,
+    effects: tuple[str, ...],
+    rng: np.random.Generator,
+    *,
+    reference: bool,
+) -> Calibrated | None:
+    """A robot calibrated by pushes of its empty hand; None where the calibration is refused.
+
+    Args:
+        hidden: The true robot.
+        effects: What of it is open; where nothing is, nothing is calibrated.
+        rng: Draws noise.
+        reference: Whether a known weight is pushed, too.
+    """
+    robot = robot_knowing(effects)
+    known = [LoadedRun(run_of(probe, hidden, None, rng)) for probe in EMPTY_PROBES]
+    if reference:
+        weight = ball(REFERENCE_KG, 0.04)
+        load = KnownLoad(REFERENCE_KG, facts_of(weight))
+        for probe in (LOADED_PROBES[1], LOADED_PROBES[2], LOADED_PROBES[5]):
+            known.append(LoadedRun(run_of(probe, hidden, weight, rng), load))
+    if set(effects).isdisjoint({*OPEN, *OPEN_OF_ALL, "once_per_turn"} - {"run_torque", "onset"}):
+        return Calibrated(robot, robot, [], reference)
+    learnt = calibrate(robot, known)
+    if learnt.calibration is None or learnt.verdict.value != "accepted":
+        return None
+    used = {run["name"] for run in learnt.calibration.runs}
+    kept = [prepare_run(robot, each.run, each.load) for each in known if each.run.name in used]
+    return Calibrated(robot, robot.with_calibration(learnt.calibration), kept, reference)
+
+
+def weighed(
+    calibrated: Calibrated,
+    hidden: HiddenRobot,
+    mass: float,
+    rng: np.random.Generator,
+) -> Answer | None:
+    """An object weighed by one push, beside the smallest standard deviation there is; None where it is refused.
+
+    Args:
+        calibrated: What is known of the robot.
+        hidden: The true one.
+        mass: Of the object [kg].
+        rng: Draws the push and its noise.
+    """
+    probe = LOADED_PROBES[int(rng.integers(len(LOADED_PROBES)))]
+    load = ball(mass, DIAMETER_M)
+    run = run_of(probe, hidden, load, rng)
+    value = weigh(calibrated.robot, [run], facts_of(load)).value("payload_mass")
+    if value.value is None:
+        return None
+    low, high = value.ci95
+    bound = cramer_rao(calibrated.file, hidden, calibrated.kept, run, load, hidden.stamp_jitter_s)
+    return Answer(
+        mass,
+        probe.joint,
+        calibrated.reference,
+        value.value - mass,
+        value.std,
+        bound,
+        bool(low <= mass <= high),
+    )
 
 
 def survey(

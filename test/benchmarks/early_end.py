@@ -19,13 +19,15 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
 from coverage import DIAMETER_M, facts_of
-from random_arm import EFFECTS_DEFAULT, SPREAD, ball, draw_robot
+from random_arm import EFFECTS_DEFAULT, SPREAD, Load, ball, draw_robot
 from results import Results, parser_of
 from until_sure import MASSES_KG, Bench, calibrated
 
 from proprio_ros.excitation.plans import Until, load_sequence
+from proprio_ros.experiment_design.sequential import Known
 from proprio_ros.experiment_design.until import UntilSure
 from proprio_ros.records import Run
+from proprio_ros.robot import Robot
 
 EARLIEST_S = 0.2
 STEP_S = 0.1
@@ -60,7 +62,26 @@ def cut(run: Run, end_s: float) -> Run:
     )
 
 
+@dataclass(frozen=True)
+class Pushed:
+    """Pushes that were chosen one by one, and what was known before the first and after each.
+
+    Attributes:
+        runs: All runs that they took.
+        states: What was known.
+        ends: How many runs there were after each push.
+        times_s: The arm's time after each push [s].
+    """
+
+    chooser: UntilSure
+    runs: list[Run]
+    states: list[Known]
+    ends: list[int]
+    times_s: list[float]
+
+
 def one_robot(job: tuple[int, Until, Sequence[float]]) -> list[Case]:
+    """What one robot's pushes would have spared, mass by mass."""
     seed, until, masses = job
     rng = np.random.default_rng(seed)
     hidden = draw_robot(rng, EFFECTS_DEFAULT, SPREAD)
@@ -69,61 +90,62 @@ def one_robot(job: tuple[int, Until, Sequence[float]]) -> list[Case]:
         return []
     cases = []
     for mass in masses:
-        load = ball(mass, DIAMETER_M)
         sequence = replace(
             load_sequence("payload", robot),
             runs=(),
             until=until,
         )
-        bench = Bench(
-            hidden,
-            sequence,
-            np.random.default_rng([seed, round(1e6 * mass)]),
-        )
-        chooser = UntilSure(robot, facts_of(load), sequence)
-        runs: list[Run] = []
-        states = [chooser.known]
-        ends = []
-        times = []
-        while (decision := chooser.next(runs, bench.pose, bench.time_s)).run is not None:
-            if runs:
-                states.append(chooser.known)
-            runs += bench.push(decision.run, load)
-            ends.append(len(runs))
-            times.append(bench.time_s)
-        states.append(chooser.known)
+        noise = np.random.default_rng([seed, round(1e6 * mass)])
+        pushed = push_until_sure(robot, Bench(hidden, sequence, noise), ball(mass, DIAMETER_M))
         # after the first push, before which nothing is known and of which nobody would spare anything
-        if len(ends) < 2:
-            continue
-        rate = np.log(states[1].std / states[-1].std) / (times[-1] - times[0])
-        saved = 0.0
-        for number in range(1, len(ends)):
-            last = runs[ends[number] - 1]
-            best = 0.0
-            for end_s in np.arange(EARLIEST_S, last.duration_s - 1e-6, STEP_S):
-                shorter = [
-                    *runs[: ends[number] - 1],
-                    cut(last, float(end_s)),
-                ]
-                std = chooser.catalogue.known(shorter).std
-                lost = max(
-                    float(np.log(std / states[number + 1].std)),
-                    0.0,
-                )
-                best = max(
-                    best,
-                    float(last.duration_s - end_s) - lost / max(rate, 1e-6),
-                )
-            saved += best
-        cases.append(
-            Case(
-                bench.time_s,
-                sum(run.duration_s for run in runs),
-                saved,
-                len(ends),
-            )
-        )
+        if len(pushed.ends) >= 2:
+            made_s = sum(run.duration_s for run in pushed.runs)
+            cases.append(Case(pushed.times_s[-1], made_s, spared_s(pushed), len(pushed.ends)))
     return cases
+
+
+def push_until_sure(robot: Robot, bench: Bench, load: Load) -> Pushed:
+    """Chooses pushes one by one until the target is met, or none helps."""
+    chooser = UntilSure(robot, facts_of(load), bench.sequence)
+    runs: list[Run] = []
+    states = [chooser.known]
+    ends = []
+    times_s = []
+    while (decision := chooser.next(runs, bench.pose, bench.time_s)).run is not None:
+        if runs:
+            states.append(chooser.known)
+        runs += bench.push(decision.run, load)
+        ends.append(len(runs))
+        times_s.append(bench.time_s)
+    states.append(chooser.known)
+    return Pushed(chooser, runs, states, ends, times_s)
+
+
+def spared_s(pushed: Pushed) -> float:
+    """What the pushes after the first would have spared by ending when that is best [s]."""
+    states = pushed.states
+    lasted_s = pushed.times_s[-1] - pushed.times_s[0]
+    rate = np.log(states[1].std / states[-1].std) / lasted_s
+    return sum(spared_by(pushed, number, rate) for number in range(1, len(pushed.ends)))
+
+
+def spared_by(pushed: Pushed, number: int, rate: float) -> float:
+    """What one push would have spared at best [s].
+
+    Args:
+        pushed: All pushes.
+        number: Which of them.
+        rate: By how much the logarithm of the standard deviation falls, all in all [1/s].
+    """
+    before = pushed.runs[: pushed.ends[number] - 1]
+    last = pushed.runs[pushed.ends[number] - 1]
+    best = 0.0
+    for end_s in np.arange(EARLIEST_S, last.duration_s - 1e-6, STEP_S):
+        shorter = [*before, cut(last, float(end_s))]
+        std = pushed.chooser.catalogue.known(shorter).std
+        lost = max(float(np.log(std / pushed.states[number + 1].std)), 0.0)
+        best = max(best, float(last.duration_s - end_s) - lost / max(rate, 1e-6))
+    return best
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

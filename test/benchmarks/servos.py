@@ -136,9 +136,11 @@ class Servo:
         return {name: np.array(values) for name, values in rows.items()}
 
 
-def asked(
-    seed: int, rate_hz: float, questions: int = 3
-) -> list[tuple[float, float | None, float, tuple[float, float]]]:
+Row = tuple[float, float | None, float, tuple[float, float]]
+"""Truth, answer, standard deviation and interval [kg]."""
+
+
+def asked(seed: int, rate_hz: float, questions: int = 3) -> list[Row]:
     """Truth, answer, standard deviation and interval [kg] of some weighings by one servo; no answer where it is refused."""
     random = np.random.default_rng(seed)
     servo = Servo(random)
@@ -159,7 +161,7 @@ def asked(
         except ProprioError:
             learnt = None
         for number, kg in enumerate(map(float, truths)):
-            answer: tuple[float, float | None, float, tuple[float, float]] = (
+            answer: Row = (
                 kg,
                 None,
                 np.nan,
@@ -191,11 +193,6 @@ def main(arguments: Sequence[str] | None = None) -> None:
         rows += asked(seed, options.rate, options.questions)
         if (seed + 1 - options.first) % 10 == 0:
             print(f"{seed + 1 - options.first} servos", file=sys.stderr)
-    given = [row for row in rows if row[1] is not None]
-    held = sum(low <= truth <= high for truth, _, _, (low, high) in given)
-    off = np.array([(value - truth) / truth for truth, value, _, _ in given])
-    pulls = np.array([(value - truth) / std for truth, value, std, _ in given])
-    widths = np.array([(high - low) / 2.0 / truth for truth, _, _, (low, high) in given])
     results.table(
         "servos",
         {
@@ -207,14 +204,30 @@ def main(arguments: Sequence[str] | None = None) -> None:
             "farthest, in sd": "{farthest:.1f}",
         },
     )
+    given = [row for row in rows if row[1] is not None]
     if given:
-        low, high = binomtest(held, len(given)).proportion_ci(method="wilson")
-        results.row(
-            "servos", servos=options.servos, answered=len(given), asked=len(rows), hold=100.0 * held / len(given),
-            low=100.0 * low, high=100.0 * high, rms=100.0 * np.sqrt(np.mean(off**2)), worst=100.0 * np.abs(off).max(),
-            half=100.0 * np.median(widths), farthest=np.abs(pulls).max(), **each_answer(100.0 * off, 100.0 * widths),
-        )  # fmt: skip
+        results.row("servos", servos=options.servos, asked=len(rows), **figures(given))
     results.keep()
+
+
+def figures(given: Sequence[Row]) -> dict[str, Any]:
+    """How often intervals hold, with Wilson's interval of that; errors and widths in % of the truth."""
+    held = sum(low <= truth <= high for truth, _, _, (low, high) in given)
+    off = np.array([(value - truth) / truth for truth, value, _, _ in given])
+    pulls = np.array([(value - truth) / std for truth, value, std, _ in given])
+    widths = np.array([(high - low) / 2.0 / truth for truth, _, _, (low, high) in given])
+    least, most = binomtest(held, len(given)).proportion_ci(method="wilson")
+    return {
+        "answered": len(given),
+        "hold": 100.0 * held / len(given),
+        "low": 100.0 * least,
+        "high": 100.0 * most,
+        "rms": 100.0 * np.sqrt(np.mean(off**2)),
+        "worst": 100.0 * np.abs(off).max(),
+        "half": 100.0 * np.median(widths),
+        "farthest": np.abs(pulls).max(),
+        **each_answer(100.0 * off, 100.0 * widths),
+    }
 
 
 if __name__ == "__main__":

@@ -14,9 +14,11 @@ current where it moved too little; ways, rests and brakes take the time that the
 from __future__ import annotations
 
 import json
+import multiprocessing.pool
 import os
 import sys
 import time
+from argparse import Namespace
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
@@ -45,7 +47,10 @@ from results import Results, each_answer, parser_of
 from proprio_ros.errors import ProprioError
 from proprio_ros.excitation.plans import ExcitationRun, ExcitationSequence, Until, load_sequence
 from proprio_ros.excitation.ways import approach_s
+from proprio_ros.experiment_design.choosing import Decision
+from proprio_ros.experiment_design.sequential import Catalogue
 from proprio_ros.experiment_design.until import UntilSure, chosen_known
+from proprio_ros.identification.estimate import Estimate
 from proprio_ros.identification.prepared_runs import KnownLoad
 from proprio_ros.identification.robot_calibration import LoadedRun, calibrate
 from proprio_ros.probes.payload.identify import weigh
@@ -191,97 +196,179 @@ def calibrated(
     return robot.with_calibration(learnt.calibration)
 
 
-def one_case(
-    robot: Robot,
-    hidden: HiddenRobot,
-    mass: float,
-    reference: str,
-    until: Until,
-    seed: int,
-) -> Case:
-    load = ball(mass, DIAMETER_M)
-    facts = facts_of(load)
-    fixed = load_sequence("payload", robot)
-    sequence = replace(fixed, runs=(), until=until)
-    bench = Bench(
-        hidden,
-        sequence,
-        np.random.default_rng([seed, round(1e6 * mass)]),
-    )
-    runs: list[Run] = []
-    decided = 0.0
+@dataclass(frozen=True)
+class Asked:
+    """A calibrated robot with an object in its hand; its mass in kg."""
+
+    seed: int
+    robot: Robot
+    hidden: HiddenRobot
+    mass: float
+    reference: str
+    until: Until
+
+    @property
+    def load(self) -> Load:
+        """The object: a ball."""
+        return ball(self.mass, DIAMETER_M)
+
+    @property
+    def fixed(self) -> ExcitationSequence:
+        """The shipped sequence."""
+        return load_sequence("payload", self.robot)
+
+    @property
+    def open_end(self) -> ExcitationSequence:
+        """The shipped sequence without its pushes: they are chosen."""
+        return replace(self.fixed, runs=(), until=self.until)
+
+    def bench(self, sequence: ExcitationSequence, *stream: int) -> Bench:
+        """Where pushes are made, with noise of their own for each stream."""
+        noise = np.random.default_rng([self.seed, round(1e6 * self.mass), *stream])
+        return Bench(self.hidden, sequence, noise)
+
+    def weigh(self, runs: Sequence[Run]) -> Estimate:
+        """The object by so many runs."""
+        return weigh(self.robot, runs, facts_of(self.load))
+
+
+@dataclass(frozen=True)
+class Chosen:
+    """Pushes that were chosen one by one, until sure.
+
+    Attributes:
+        chooser: Who chose them.
+        decision: The last, by which it ended.
+        time_s: The arm's time for them [s].
+        decided_s: The processor's longest time for a decision [s].
+    """
+
+    chooser: UntilSure
+    decision: Decision
+    runs: list[Run]
+    time_s: float
+    decided_s: float
+
+
+def push_until_sure(asked: Asked) -> Chosen:
+    """Chooses pushes one by one until the target is met, or none helps."""
 
     def whole(made: Sequence[Run]) -> float | None:
-        std = weigh(robot, made, facts).value("payload_mass").std
+        std = asked.weigh(made).value("payload_mass").std
         return None if std is None else Z95 * std
 
-    chooser = UntilSure(robot, facts, sequence, whole)
+    sequence = asked.open_end
+    bench = asked.bench(sequence)
+    runs: list[Run] = []
+    decided = 0.0
+    chooser = UntilSure(asked.robot, facts_of(asked.load), sequence, whole)
     while True:
         began = time.process_time()
         decision = chooser.next(runs, bench.pose, bench.time_s)
         if decision.run is None:
             break
         decided = max(decided, time.process_time() - began)
-        runs += bench.push(decision.run, load)
-    estimate = weigh(robot, runs, facts) if runs else None
-    if estimate is None or (value := estimate.value("payload_mass")).value is None:
-        nan = float("nan")
-        said = (
-            decision.reason
-            if estimate is None
-            else f"{estimate.verdict.value}: {'; '.join(estimate.reasons)}"
-        )
-        print(f"  seed {seed}, {1e3 * mass:.0f} g, {reference}: {said}", file=sys.stderr)
-        return Case(
-            mass,
-            reference,
-            "refused",
-            nan,
-            nan,
-            False,
-            False,
-            len(runs),
-            bench.time_s,
-            nan,
-            False,
-            nan,
-            decided,
-        )
-    low, high = value.ci95
-    half = Z95 * value.std
-    # the fixed sequence, again and again
-    other = Bench(
-        hidden,
-        fixed,
-        np.random.default_rng([seed, round(1e6 * mass), 1]),
-    )
+        runs += bench.push(decision.run, asked.load)
+    return Chosen(chooser, decision, runs, bench.time_s, decided)
+
+
+@dataclass(frozen=True)
+class Fixed:
+    """The fixed sequence, again and again: until when [s], whether it became as sure, and half its interval [kg]."""
+
+    time_s: float
+    reached: bool
+    half: float
+
+
+def repeat_fixed(asked: Asked, catalogue: Catalogue, half: float) -> Fixed:
+    """Makes the fixed sequence until it is as sure, or `FIXED_AT_MOST` runs are made.
+
+    Args:
+        asked: Who makes it, and of what.
+        catalogue: Says how sure runs make.
+        half: Half interval to reach [kg].
+    """
+    bench = asked.bench(asked.fixed, 1)
     made: list[Run] = []
     after: list[tuple[int, float]] = []
     state, fixed_half = None, float("inf")
 
     def half_after(count: int) -> float:
         nonlocal state
-        state = chooser.catalogue.known(
+        state = catalogue.known(
             made[:count],
             state if count == len(made) else None,
         )
         return Z95 * state.std
 
+    pushes = asked.fixed.runs
     while fixed_half > half and len(made) < FIXED_AT_MOST:
-        for probe in fixed.runs:
-            made += other.push(probe, load)
-            after.append((len(made), other.time_s))
+        for probe in pushes:
+            made += bench.push(probe, asked.load)
+            after.append((len(made), bench.time_s))
         fixed_half = half_after(len(made))
-    fixed_s = other.time_s
+    fixed_s = bench.time_s
     if fixed_half <= half:  # perhaps one or two pushes before
-        for count, at_s in after[-2 : -len(fixed.runs) - 1 : -1]:
+        for count, at_s in after[-2 : -len(pushes) - 1 : -1]:
             if count == 0 or half_after(count) > half:
                 break
             fixed_s = at_s
+    return Fixed(fixed_s, fixed_half <= half, fixed_half)
+
+
+def one_case(asked: Asked) -> Case:
+    """The object by chosen pushes, and how long the fixed sequence takes to be as sure."""
+    chosen = push_until_sure(asked)
+    estimate = asked.weigh(chosen.runs) if chosen.runs else None
+    value = None if estimate is None else estimate.value("payload_mass")
+    if value is None or value.value is None:
+        said = (
+            chosen.decision.reason
+            if estimate is None
+            else f"{estimate.verdict.value}: {'; '.join(estimate.reasons)}"
+        )
+        name = f"seed {asked.seed}, {1e3 * asked.mass:.0f} g, {asked.reference}"
+        print(f"  {name}: {said}", file=sys.stderr)
+        return refused(asked, chosen)
+    low, high = value.ci95
+    half = Z95 * value.std
+    fixed = repeat_fixed(asked, chosen.chooser.catalogue, half)
     return Case(
-        mass, reference, decision.ended_by, value.value - mass, half, bool(low <= mass <= high),
-        half <= until.half_interval * 1.0001, len(runs), bench.time_s, fixed_s, fixed_half <= half, fixed_half, decided,
-    )  # fmt: skip
+        mass=asked.mass,
+        reference=asked.reference,
+        ended_by=chosen.decision.ended_by,
+        error=value.value - asked.mass,
+        half=half,
+        holds=bool(low <= asked.mass <= high),
+        met=half <= asked.until.half_interval * 1.0001,
+        runs=len(chosen.runs),
+        time_s=chosen.time_s,
+        fixed_s=fixed.time_s,
+        fixed_reached=fixed.reached,
+        fixed_half=fixed.half,
+        decided_s=chosen.decided_s,
+    )
+
+
+def refused(asked: Asked, chosen: Chosen) -> Case:
+    """No answer: what would be measured of one is nan."""
+    nan = float("nan")
+    return Case(
+        mass=asked.mass,
+        reference=asked.reference,
+        ended_by="refused",
+        error=nan,
+        half=nan,
+        holds=False,
+        met=False,
+        runs=len(chosen.runs),
+        time_s=chosen.time_s,
+        fixed_s=nan,
+        fixed_reached=False,
+        fixed_half=nan,
+        decided_s=chosen.decided_s,
+    )
 
 
 def one_robot(job: tuple[int, str, bool, bool, Until, Sequence[float]]) -> list[Case]:
@@ -296,16 +383,7 @@ def one_robot(job: tuple[int, str, bool, bool, Until, Sequence[float]]) -> list[
     cases = []
     for mass in masses:
         try:
-            cases.append(
-                one_case(
-                    robot,
-                    hidden,
-                    mass,
-                    reference,
-                    until,
-                    seed,
-                )
-            )
+            cases.append(one_case(Asked(seed, robot, hidden, mass, reference, until)))
         except ProprioError as error:
             print(f"seed {seed}, {mass} kg: {error}", file=sys.stderr)
     return cases
@@ -403,12 +481,6 @@ def main(arguments: Sequence[str] | None = None) -> None:
     options = parser.parse_args(arguments)
     results = Results(__file__, options.json, arguments)
     results.table("until_sure", COLUMNS)
-    until = Until(options.half, "kg", options.at_most)
-
-    def masses_of(seed: int) -> Sequence[float]:
-        """All, or with --half-of-them every second one, these of one robot and the others of the next."""
-        return options.masses[seed % 2 :: 2] if options.half_of_them else options.masses
-
     if options.table:
         lines = [Case(**json.loads(row)) for row in options.table.read_text().splitlines()]
         for reference in options.reference:
@@ -417,23 +489,39 @@ def main(arguments: Sequence[str] | None = None) -> None:
                 reference,
                 [case for case in lines if case.reference == reference],
             )
-        results.keep()
-        return
-    with Pool(options.jobs) as pool:
-        for reference in options.reference:
-            seeds = range(options.first, options.first + options.robots)
-            jobs = [
-                (seed, reference, not options.matched, options.stribeck, until, masses_of(seed))
-                for seed in seeds
-            ]
-            cases = []
-            for found in pool.imap_unordered(one_robot, jobs):
-                cases += found
-                if options.save:
-                    with options.save.open("a") as file:
-                        file.writelines(json.dumps(asdict(case)) + "\n" for case in found)
-            table(results, reference, cases)
+    else:
+        with Pool(options.jobs) as pool:
+            for reference in options.reference:
+                table(results, reference, weighed(pool, reference, options))
     results.keep()
+
+
+def weighed(pool: multiprocessing.pool.Pool, reference: str, options: Namespace) -> list[Case]:
+    """The cases of all robots that are calibrated in one way; kept in a file where that is asked for."""
+    until = Until(options.half, "kg", options.at_most)
+    jobs = [
+        (
+            seed,
+            reference,
+            not options.matched,
+            options.stribeck,
+            until,
+            masses_of(seed, options.masses, options.half_of_them),
+        )
+        for seed in range(options.first, options.first + options.robots)
+    ]
+    cases = []
+    for found in pool.imap_unordered(one_robot, jobs):
+        cases += found
+        if options.save:
+            with options.save.open("a") as file:
+                file.writelines(json.dumps(asdict(case)) + "\n" for case in found)
+    return cases
+
+
+def masses_of(seed: int, masses: Sequence[float], half_of_them: bool) -> Sequence[float]:
+    """All masses [kg], or every second one: these of one robot and the others of the next."""
+    return masses[seed % 2 :: 2] if half_of_them else masses
 
 
 if __name__ == "__main__":
