@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -25,6 +25,7 @@ from proprio_ros.records import MEASURED_EFFORT, InputRecord, JointRecord, Recor
 from proprio_ros.robot import load_robot
 
 GRAVITY = 9.80665
+STEP_S = 0.001
 ROBOT = """name: {name}
 urdf: {name}.urdf
 payload_frame: tip
@@ -55,6 +56,28 @@ def robot_file(
     return path
 
 
+@dataclass(frozen=True)
+class Pendulum:
+    """One joint with a rod and a payload, integrated here: moments in N m, inertia in kg m2."""
+
+    inertia: float
+    moment: float
+    coulomb: float
+    viscous: float
+
+    def acceleration(self, torque: float, angle: float, speed: float) -> float:
+        """Of the joint [rad/s2]."""
+        friction = self.coulomb * np.tanh(speed / 0.005) + self.viscous * speed
+        weight = self.moment * GRAVITY * np.sin(angle)
+        return float((torque - friction - weight) / self.inertia)
+
+    def step(self, torque: float, angle: float, speed: float) -> tuple[float, float]:
+        """Angle [rad] and speed [rad/s] after `STEP_S`, by the midpoint rule."""
+        half = speed + 0.5 * STEP_S * self.acceleration(torque, angle, speed)
+        rate = self.acceleration(torque, angle + 0.5 * STEP_S * speed, half)
+        return angle + STEP_S * half, speed + STEP_S * rate
+
+
 def swung(
     payload_kg: float,
     *,
@@ -65,7 +88,7 @@ def swung(
     scale: float = 1.0,
     rate_Hz: float = 200.0,
 ) -> tuple[Recording, float]:
-    """A pendulum under a PD controller, integrated here: friction, delay and noise; its effort is ``scale`` times the torque.
+    """A pendulum under a PD controller: friction, delay and noise; its effort is ``scale`` times the torque.
 
     Returns:
         The recording, and the true length of the equivalent pendulum [m].
@@ -73,55 +96,32 @@ def swung(
     random = np.random.default_rng(seed)
     inertia = (rod_kg / 3.0 + payload_kg) * length_m**2
     moment = (0.5 * rod_kg + payload_kg) * length_m
-    coulomb, viscous, noise = (
-        random.uniform(0.03, 0.12),
-        random.uniform(0.0, 0.02),
-        random.uniform(0.01, 0.05),
+    pendulum = Pendulum(
+        inertia,
+        moment,
+        coulomb=random.uniform(0.03, 0.12),
+        viscous=random.uniform(0.0, 0.02),
     )
-    step_s = 0.001
-    steps = round(seconds / 0.001)
+    noise = random.uniform(0.01, 0.05)
     delay = int(random.integers(1, 4))
-    every = round(1.0 / rate_Hz / 0.001)
-    gain = 12.0 * moment
-    damping = 1.2 * moment
     phases = random.uniform(0.0, 2.0 * np.pi, 3)
     speeds = random.uniform(1.5, 6.0, 3)
+    every = round(1.0 / rate_Hz / STEP_S)
     angle = speed = 0.0
     commands = [0.0] * (delay + 1)
-    times = []
-    positions = []
-    efforts = []
-
-    def acceleration(torque: float, angle: float, speed: float) -> float:
-        friction = coulomb * np.tanh(speed / 0.005) + viscous * speed
-        return (torque - friction - moment * GRAVITY * np.sin(angle)) / inertia
-
-    for k in range(steps):
-        t = k * step_s
+    rows = []
+    for k in range(round(seconds / STEP_S)):
+        t = k * STEP_S
         goal = float(np.sum(0.6 * np.sin(speeds * t + phases) - 0.6 * np.sin(phases)))
         seen = angle + random.normal(0.0, 2e-4)
-        commands.append(
-            float(
-                np.clip(
-                    gain * (goal - seen) - damping * speed,
-                    -8.0,
-                    8.0,
-                )
-            )
-        )
+        wanted = 12.0 * moment * (goal - seen) - 1.2 * moment * speed
+        commands.append(float(np.clip(wanted, -8.0, 8.0)))
         torque = commands[-1 - delay]
         if k % every == 0:
-            times.append(round(1e9 * t))
-            positions.append(seen)
-            efforts.append(scale * (torque + random.normal(0.0, noise)))
-        half = speed + 0.5 * step_s * acceleration(torque, angle, speed)
-        rate = acceleration(torque, angle + 0.5 * step_s * speed, half)
-        angle = angle + step_s * half
-        speed = speed + step_s * rate
-    effort = np.array(efforts)[:, None]
-    record = JointRecord(
-        np.array(times), ("pendulum",), np.array(positions)[:, None], effort=effort
-    )
+            rows.append((round(1e9 * t), seen, scale * (torque + random.normal(0.0, noise))))
+        angle, speed = pendulum.step(torque, angle, speed)
+    times_ns, positions, efforts = map(np.array, zip(*rows, strict=True))
+    record = JointRecord(times_ns, ("pendulum",), positions[:, None], effort=efforts[:, None])
     return Recording("swung", record, None), inertia / moment
 
 

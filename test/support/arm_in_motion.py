@@ -113,6 +113,8 @@ FOUR = Build(
 """A small arm with servos that moves slowly, like an OpenManipulator-X: three parallel axes and much friction."""
 RATE_HZ = 100.0
 STEP_S = 0.001
+EVERY = round(1.0 / RATE_HZ / STEP_S)
+"""Steps from sample to sample."""
 STEPS_TOGETHER = 10_000
 
 
@@ -293,6 +295,60 @@ class Way:
 
 
 @dataclass
+class Heard:
+    """What an arm reports of a motion, and what is true of it.
+
+    Attributes:
+        own: What the motion has of its own.
+        per_A: Torque of the motors [N m/A], (n,).
+        true: Angle, speed, acceleration and torque, sample by sample.
+    """
+
+    own: Differs
+    per_A: np.ndarray
+    times_s: list[float] = field(default_factory=list)
+    positions: list[np.ndarray] = field(default_factory=list)
+    currents_A: list[np.ndarray] = field(default_factory=list)
+    true: list[list[np.ndarray]] = field(default_factory=list)
+
+    def add(
+        self,
+        time_s: float,
+        position: np.ndarray,
+        torque: np.ndarray,
+        rng: np.random.Generator,
+        noise_A: float,
+    ) -> None:
+        """A sample, with the noise of its stamp, its encoders and its currents.
+
+        Args:
+            time_s: When it is taken [s].
+            position: True angles [rad], (n,).
+            torque: Of the motors [N m], (n,).
+            rng: Draws the noise.
+            noise_A: Of currents [A].
+        """
+        count = len(position)
+        self.times_s.append(time_s + 2e-4 * rng.standard_normal())
+        self.positions.append(position - self.own.zero + 1e-4 * rng.standard_normal(count))
+        said = self.own.scale * (torque + self.own.offset) / self.per_A
+        self.currents_A.append(said + noise_A * rng.standard_normal(count))
+
+    def motion(self, name: str, joints: tuple[str, ...]) -> Motion:
+        """As it is recorded."""
+        times_s = np.array(self.times_s)
+        return Motion(
+            name,
+            joints,
+            times_s - times_s[0],
+            np.array(self.positions),
+            np.array(self.currents_A),
+            {},
+            "measured current",
+        )
+
+
+@dataclass
 class Twin:
     """One arm as it really is, drawn at random; `truths` keeps what its motions really were, by name.
 
@@ -397,61 +453,53 @@ class Twin:
         moments: Sequence[float] | None = None,
         differs: Differs | None = None,
     ) -> Motion:
-        """A motion along random sines, with the payload in the hand, and what it has of its own; else it is friction to 5 %."""
+        """A motion along random sines, with the payload in the hand, and what it has of its own; else it is friction to 5 %.
+
+        Args:
+            name: Of the motion.
+            seconds: How long it lasts [s].
+            payload: Mass [kg] and its centre [m].
+            moments: Of inertia about that centre [kg m2].
+            differs: What this motion has of its own.
+        """
         import mujoco
 
         model = self._model(payload, moments)
         data = mujoco.MjData(model)
         rng = self.rng
-        build = self.build
-        count = len(build.axes)
-        steps = round((seconds + 1.0) / STEP_S)
-        way = Way.draw(rng, build)
-        warm = 1.0 + 0.05 * rng.standard_normal(count)  # friction is not the same twice
-        none = np.zeros(count)
-        own = differs or Differs(none + 1.0, warm, none, none, none)
+        count = len(self.build.axes)
+        way = Way.draw(rng, self.build)
+        usual = self._usual()
+        own = differs or usual
         viscous = self.viscous * (1.0 if differs is None else own.friction)
         way = way.of(own)
-        qpos = data.qpos
-        qvel = data.qvel
-        qpos[:], qvel[:], _ = next(way.steps(1))
-        per_A = np.array(build.constants) * self.torque
+        data.qpos[:], data.qvel[:], _ = next(way.steps(1))
         queue = [np.zeros(count)] * (self.delay + 1)
-        times = []
-        positions = []
-        currents = []
-        true = []
-        every = round(1.0 / RATE_HZ / STEP_S)
+        heard = Heard(own, np.array(self.build.constants) * self.torque)
         full = np.zeros((count, count))
         mujoco.mj_forward(model, data)
-        for step, (q, qd, qdd) in enumerate(way.steps(steps)):
+        for step, (q, qd, qdd) in enumerate(way.steps(round((seconds + 1.0) / STEP_S))):
             inertia_matrix(model, data, full)
-            measured = qpos + 1e-4 * rng.standard_normal(count)
-            pushed = qdd + 225.0 * (q - measured) + 30.0 * (qd - qvel)
+            measured = data.qpos + 1e-4 * rng.standard_normal(count)
+            pushed = qdd + 225.0 * (q - measured) + 30.0 * (qd - data.qvel)
             queue.append(full @ pushed + data.qfrc_bias + viscous * qd)
             torque = queue.pop(0)
-            data.qfrc_applied[:] = self._arrives(torque, qpos, qvel, viscous, own.friction)
-            if step * STEP_S < 1.0 or step % every != 0:
+            data.qfrc_applied[:] = self._arrives(
+                torque, data.qpos, data.qvel, viscous, own.friction
+            )
+            if step * STEP_S < 1.0 or step % EVERY != 0:
                 mujoco.mj_step(model, data)
                 continue
-            times.append(step * STEP_S + 2e-4 * rng.standard_normal())
-            positions.append(qpos - own.zero + 1e-4 * rng.standard_normal(count))
-            said = own.scale * (torque + own.offset) / per_A
-            currents.append(said + build.current_noise_A * rng.standard_normal(count))
-            begun = (qpos.copy(), qvel.copy())
+            heard.add(step * STEP_S, data.qpos, torque, rng, self.build.current_noise_A)
+            begun = (data.qpos.copy(), data.qvel.copy())
             mujoco.mj_step(model, data)
-            true.append([*begun, data.qacc.copy(), torque])
-        self.truths[name] = Truth(
-            *np.swapaxes(true, 0, 1),
-            own.friction,
-        )
-        times_s = np.array(times)
-        return Motion(
-            name,
-            build.joints,
-            times_s - times_s[0],
-            np.array(positions),
-            np.array(currents),
-            {},
-            "measured current",
-        )
+            heard.true.append([*begun, data.qacc.copy(), torque])
+        self.truths[name] = Truth(*np.swapaxes(heard.true, 0, 1), own.friction)
+        return heard.motion(name, self.build.joints)
+
+    def _usual(self) -> Differs:
+        """What a motion has of its own where nothing is said: friction is not the same twice."""
+        count = len(self.build.axes)
+        warm = 1.0 + 0.05 * self.rng.standard_normal(count)
+        none = np.zeros(count)
+        return Differs(none + 1.0, warm, none, none, none)

@@ -108,6 +108,44 @@ def _model_of(
     return spec.compile()
 
 
+@dataclass(frozen=True)
+class _Moved:
+    """An arm in MuJoCo whose driven joints follow goals by computed torque.
+
+    Attributes:
+        dofs: Of the driven joints.
+        inertia: Of all joints, where it is written to, (nv, nv).
+    """
+
+    model: Any
+    data: Any
+    dofs: np.ndarray
+    inertia: np.ndarray
+
+    def torque_to(
+        self, goal: np.ndarray, speed: np.ndarray, acceleration: np.ndarray
+    ) -> np.ndarray:
+        """What the driven joints need now [N m], (n,), for a goal's angles, speeds and accelerations."""
+        import mujoco
+
+        data = self.data
+        dofs = self.dofs
+        mujoco.mj_forward(self.model, data)
+        inertia_matrix(self.model, data, self.inertia)
+        behind = goal - data.qpos[dofs]
+        slower = speed - data.qvel[dofs]
+        pushed = acceleration + 100.0 * behind + 20.0 * slower
+        torque: np.ndarray = self.inertia[np.ix_(dofs, dofs)] @ pushed + data.qfrc_bias[dofs]
+        return torque
+
+    def step(self, torque: np.ndarray) -> None:
+        """Moves by one step."""
+        import mujoco
+
+        self.data.qfrc_applied[self.dofs] = torque
+        mujoco.mj_step(self.model, self.data)
+
+
 def record_arm(
     folder: Path,
     urdf: Path,
@@ -144,33 +182,26 @@ def record_arm(
     random = np.random.default_rng(seed)
     count = len(constants)
     model = _model_of(urdf, list(constants), hand, load_kg, robot)
-    data = mujoco.MjData(model)
     dofs = np.array([model.joint(name).dofadr[0] for name in constants])
+    arm = _Moved(model, mujoco.MjData(model), dofs, np.zeros((model.nv, model.nv)))
     model.dof_armature[dofs] = rotor_kg_m2 * robot.uniform(0.5, 1.5, count)
     model.dof_damping[dofs] = friction_N_m * robot.uniform(0.2, 1.0, count)
     model.dof_frictionloss[dofs] = (
         friction_N_m * robot.uniform(0.5, 1.5, count) * random.normal(1.0, 0.03, count)
     )
     goals = Goals.draw(random, np.zeros(count) if middle is None else np.array(middle))
+    data = arm.data
     data.qpos[dofs], data.qvel[dofs], _ = goals.at(0.0)
-    inertia = np.zeros((model.nv, model.nv))
     per_effort = np.array(list(constants.values()))
     states = JointStates(list(constants))
     every = round(1.0 / (rate_hz * STEP_S))
     for step in range(round(seconds / STEP_S)):
-        position = data.qpos[dofs].copy()
-        velocity = data.qvel[dofs].copy()
-        goal, speed, acceleration = goals.at(step * STEP_S)
-        mujoco.mj_forward(model, data)
-        inertia_matrix(model, data, inertia)
-        pushed = acceleration + 100.0 * (goal - position) + 20.0 * (speed - velocity)
-        torque = inertia[np.ix_(dofs, dofs)] @ pushed + data.qfrc_bias[dofs]
+        torque = arm.torque_to(*goals.at(step * STEP_S))
         if step % every == 0:
             time_ns = 10**9 + step * round(1e9 * STEP_S)
-            seen = position + random.normal(0.0, 1e-4, count)
+            seen = data.qpos[dofs] + random.normal(0.0, 1e-4, count)
             efforts = (torque + random.normal(0.0, torque_noise, count)) / per_effort
-            states.add(time_ns, seen, velocity, efforts)
-        data.qfrc_applied[dofs] = torque
-        mujoco.mj_step(model, data)
+            states.add(time_ns, seen, data.qvel[dofs].copy(), efforts)
+        arm.step(torque)
     write_messages(folder, states.messages)
     return folder

@@ -163,26 +163,20 @@ class SensingArm:
         name: str = "work",
         elsewhere: float = 0.0,
     ) -> Motion:
-        """What it reports; it takes each load (None: puts it down) at that many seconds, in whatever motion it is."""
-        import mujoco
+        """What it reports; it takes each load (None: puts it down) at that many seconds, in whatever motion it is.
 
-        moves = self._moves(seconds, elsewhere)
+        Args:
+            seconds: How long it works [s].
+            loads: When each is taken [s].
+            name: Of the motion.
+            elsewhere: How far from its usual poses it works [rad].
+        """
         rng = self.rng
-        data = self.data
+        moves = self._moves(seconds, elsewhere)
         position, velocity, _ = moves
         count = len(position)
         times_s = np.arange(count) / self.rate_Hz
-        torque = np.zeros((count, self.joints))
-        ahead = list(loads)
-        self._hold(None)
-        for row, (q, qd, qdd) in enumerate(np.swapaxes(moves, 0, 1)):
-            while ahead and times_s[row] >= ahead[0][0]:
-                self._hold(ahead.pop(0)[1])
-            data.qpos[:] = q
-            data.qvel[:] = qd
-            data.qacc[:] = qdd
-            mujoco.mj_inverse(self.model, data)
-            torque[row] = data.qfrc_inverse
+        torque = self._torque_along(moves, times_s, loads)
         of_place = 1.0 + self.place * np.sin(position + self.phase)
         friction = self.coulomb * of_place * np.tanh(velocity / 0.01)
         drift = self._drift(count)
@@ -200,3 +194,26 @@ class SensingArm:
             {},
             "measured torque",
         )
+
+    def _torque_along(
+        self,
+        moves: np.ndarray,
+        times_s: np.ndarray,
+        loads: Sequence[tuple[float, Load | None]],
+    ) -> np.ndarray:
+        """MuJoCo's inverse dynamics without friction [N m], (count, n), along moves, (3, count, n)."""
+        import mujoco
+
+        data = self.data
+        torque = np.zeros((len(times_s), self.joints))
+        ahead = list(loads)
+        self._hold(None)
+        for row, (q, qd, qdd) in enumerate(np.swapaxes(moves, 0, 1)):
+            while ahead and times_s[row] >= ahead[0][0]:
+                self._hold(ahead.pop(0)[1])
+            data.qpos[:] = q
+            data.qvel[:] = qd
+            data.qacc[:] = qdd
+            mujoco.mj_inverse(self.model, data)
+            torque[row] = data.qfrc_inverse
+        return torque
