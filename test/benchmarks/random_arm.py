@@ -61,6 +61,7 @@ BACK_EMF_V_S = 2.49
 RESISTANCE_OHM = 5.22
 
 RATE_HZ = 40.0
+PERIOD_S = 1.0 / RATE_HZ
 BEFORE_S = 0.25
 BRAKED_S = 0.15
 STEP_S = 0.0005
@@ -224,6 +225,11 @@ def draw_robot(
         link_com=tuple(tuple((spread.link_com * _gaussian(rng, 3)).tolist()) for _ in LINKS),
         link_inertia_scale=tuple((1.0 + spread.link_inertia * _gaussian(rng, len(LINKS))).tolist()),
     )
+    return _with_effects(drawn, effects)
+
+
+def _with_effects(drawn: HiddenRobot, effects: Collection[str]) -> HiddenRobot:
+    """What belongs to the effects as it was drawn, and all else nominal."""
     kept = {name for effect in effects for name in FIELDS_OF.get(effect, (effect,))}
     return HiddenRobot(
         **{field.name: getattr(drawn, field.name) for field in fields(drawn) if field.name in kept}
@@ -516,18 +522,46 @@ def record(
     motion = simulate(
         robot, joint, start, current_A, duration_s, load, step_s, extra, shake, braked_s
     )
-    period_s = 1.0 / RATE_HZ
-    first = -round(BEFORE_S / period_s)
-    last = round((duration_s + braked_s) / period_s)
-    cycles_s = period_s * np.arange(first, last + 1, dtype=np.float64)
+    first = -round(BEFORE_S / PERIOD_S)
+    last = round((duration_s + braked_s) / PERIOD_S)
+    cycles_s = PERIOD_S * np.arange(first, last + 1, dtype=np.float64)
     instants_s = cycles_s + robot.sampling_jitter_s * _gaussian(rng, len(cycles_s))
     stamps_s = instants_s + robot.stamp_jitter_s * _gaussian(rng, len(cycles_s))
     since_torque_s = instants_s - robot.delay_s - late_s
+    column = JOINTS.index(joint)
+    shafts = _shafts(robot, motion, since_torque_s, start.get(GRIPPER, 0.0), rng)
+    currents = _currents(robot, motion, since_torque_s, column)
+    commands = np.zeros_like(currents)
+    commands[:, column] = _commands(cycles_s, current_A, duration_s, shake)
+    efforts = NOMINAL_TORQUE_CONSTANT * currents
+    names = (*JOINTS, GRIPPER)
+    return Recording(
+        name=f"{joint} {1e3 * current_A:+.0f} mA",
+        joints=JointRecord(
+            _ns(stamps_s),
+            names,
+            shafts * (1.0, 1.0, 1.0, 1.0, GRIPPER_M_PER_RAD),
+            effort=efforts,
+            current=currents,
+            reported_effort=efforts,
+        ),
+        inputs=InputRecord(_ns(cycles_s), names, commands, source="/current_command"),
+        notes=tuple(f"{name} touched the end of its range" for name in motion.hit),
+    )
 
+
+def _shafts(
+    robot: HiddenRobot,
+    motion: Motion,
+    times_s: np.ndarray,
+    opening_m: float,
+    rng: np.random.Generator,
+) -> np.ndarray:
+    """What the encoders of the joints and of the gripper, which is open so wide, say at those times [rad], (n, 5)."""
     true = np.stack(
         [
             np.interp(
-                since_torque_s,
+                times_s,
                 motion.times_s,
                 column,
             )
@@ -538,49 +572,42 @@ def record(
     shafts = np.column_stack(
         [
             true + robot.reading_error(true),
-            np.full(len(cycles_s), start.get(GRIPPER, 0.0) / GRIPPER_M_PER_RAD),
+            np.full(len(times_s), opening_m / GRIPPER_M_PER_RAD),
         ]
     )
     shafts += robot.encoder_noise * rng.standard_normal(shafts.shape)
-    currents = np.zeros_like(shafts)
-    column = JOINTS.index(joint)
+    return COUNT_RAD * np.round(shafts / COUNT_RAD) if robot.quantised else shafts
+
+
+def _currents(
+    robot: HiddenRobot,
+    motion: Motion,
+    times_s: np.ndarray,
+    column: int,
+) -> np.ndarray:
+    """What the driven motor reports at those times [A], in its column of (n, 5)."""
+    currents = np.zeros((len(times_s), len(JOINTS) + 1))
     currents[:, column] = np.interp(
-        since_torque_s,
+        times_s,
         motion.times_s,
         motion.current_A,
         left=0.0,
     )
-    if robot.quantised:
-        shafts = COUNT_RAD * np.round(shafts / COUNT_RAD)
-        currents = COUNT_A * np.round(currents / COUNT_A)
-    positions = shafts * (1.0, 1.0, 1.0, 1.0, GRIPPER_M_PER_RAD)
-    efforts = NOMINAL_TORQUE_CONSTANT * currents
+    return COUNT_A * np.round(currents / COUNT_A) if robot.quantised else currents
 
-    commands = np.zeros_like(currents)
-    on = (cycles_s > -0.5 * period_s) & (cycles_s < duration_s - 0.5 * period_s)
-    first_half = (cycles_s + 0.25 * period_s) % shake[1] < 0.5 * shake[1]
-    commands[on, column] = (
-        current_A
-        + np.where(
-            first_half,
-            shake[0],
-            -shake[0],
-        )[on]
-    )
-    names = (*JOINTS, GRIPPER)
-    return Recording(
-        name=f"{joint} {1e3 * current_A:+.0f} mA",
-        joints=JointRecord(
-            _ns(stamps_s),
-            names,
-            positions,
-            effort=efforts,
-            current=currents,
-            reported_effort=efforts,
-        ),
-        inputs=InputRecord(_ns(cycles_s), names, commands, source="/current_command"),
-        notes=tuple(f"{name} touched the end of its range" for name in motion.hit),
-    )
+
+def _commands(
+    cycles_s: np.ndarray,
+    current_A: float,
+    duration_s: float,
+    shake: tuple[float, float],
+) -> np.ndarray:
+    """The current that is commanded in each cycle [A], (n,): about the push's, while it lasts."""
+    amplitude_A, shake_s = shake
+    on = (cycles_s > -0.5 * PERIOD_S) & (cycles_s < duration_s - 0.5 * PERIOD_S)
+    first_half = (cycles_s + 0.25 * PERIOD_S) % shake_s < 0.5 * shake_s
+    pushed = current_A + np.where(first_half, amplitude_A, -amplitude_A)
+    return np.where(on, pushed, 0.0)
 
 
 def _ns(times_s: FloatArray) -> Any:

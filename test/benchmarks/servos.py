@@ -14,6 +14,7 @@ from __future__ import annotations
 import sys
 import tempfile
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -36,6 +37,7 @@ KNOWN_KG = (0.3, 0.7, 1.1)
 POINT: dict[str, Any] = {"payload.com": [0.0, 0.0, 0.0], "payload.shape": "point"}
 GAIN = 2.656
 STEP_S = 0.0005
+COUNT_RAD = 0.00153398
 LASTS_S = 10.0
 LAW = "{kind: position_servo, gain_per_rad: 2.656, limit: 0.97, goal_speed_rad_s: 5.215}"
 FILE = f"""name: servo
@@ -59,6 +61,23 @@ PENDULUM = """<mujoco><option timestep="{step}" gravity="0 0 -{gravity}" integra
 <actuator><motor joint="j"/></actuator></mujoco>"""
 
 
+@dataclass(frozen=True)
+class Goals:
+    """Three sines that begin at 0, (3,): what the servo is told to follow."""
+
+    phases: np.ndarray
+    speeds: np.ndarray
+
+    def at(self, t: float) -> float:
+        """At so many seconds [rad]."""
+        return float(np.sum(0.5 * (np.sin(self.speeds * t + self.phases) - np.sin(self.phases))))
+
+
+def counted(angle: float) -> float:
+    """As an encoder of 4096 counts a turn has it [rad]."""
+    return round(angle / COUNT_RAD) * COUNT_RAD
+
+
 class Servo:
     """One servo.
 
@@ -79,7 +98,46 @@ class Servo:
     def moved(
         self, load_kg: float, random: np.random.Generator, rate_hz: float
     ) -> dict[str, np.ndarray]:
-        """A motion with a load, as recorded: times, goals, positions and voltage."""
+        """A motion with a load, as recorded: times, goals, positions and voltage.
+
+        Args:
+            load_kg: At the end of the rod [kg].
+            random: Draws the motion, its friction and noise.
+            rate_hz: Of the recording [Hz].
+        """
+        import mujoco
+
+        model, moment = self._model(load_kg)
+        data = mujoco.MjData(model)
+        dry = self.coulomb_N_m * random.normal(1.0, 0.08)
+        goals = Goals(random.uniform(0.0, 2.0 * np.pi, 3), random.uniform(1.0, 5.0, 3))
+        rows: dict[str, list[float]] = {name: [] for name in ("t", "position", "goal", "voltage")}
+        every = round(1.0 / (rate_hz * STEP_S))
+        goal = 0.0
+        current = 0.0
+        for step in range(round(LASTS_S / STEP_S)):
+            t = step * STEP_S
+            angle = float(data.qpos[0])
+            speed = float(data.qvel[0])
+            # goals come at 100 Hz and reach the law late
+            heard = goals.at(max(np.floor((t - self.delay_s) * 100.0 + 1e-9) / 100.0, 0.0))
+            goal += float(np.clip(heard - goal, -5.215 * STEP_S, 5.215 * STEP_S))
+            duty = float(np.clip(GAIN * (goal - counted(angle)), -0.97, 0.97))
+            voltage = self.supply_V - self.source_ohm * abs(current * duty)
+            current = (voltage * duty - self.torque_constant * speed) / 2.68
+            if step % every == 0:
+                rows["t"].append(t)
+                rows["position"].append(counted(angle + random.normal(0.0, 3e-4)))
+                rows["goal"].append(goals.at(t))
+                rows["voltage"].append(voltage + random.normal(0.0, 0.05))
+            # what gears lose grows with what they carry
+            model.dof_frictionloss[0] = dry + self.lost * abs(moment * GRAVITY * np.sin(angle))
+            data.ctrl[0] = self.torque_constant * current
+            mujoco.mj_step(model, data)
+        return {name: np.array(values) for name, values in rows.items()}
+
+    def _model(self, load_kg: float) -> tuple[Any, float]:
+        """The pendulum with a load at its end, and its first moment of mass [kg m]."""
         import mujoco
 
         mass = load_kg + ROD_KG
@@ -90,50 +148,7 @@ class Servo:
             step=STEP_S, gravity=GRAVITY, armature=self.armature, viscous=self.viscous, mass=mass, centre=-centre,
             inertia=max(about_axis - mass * centre**2, 1e-7),
         )  # fmt: skip
-        model = mujoco.MjModel.from_xml_string(text)
-        data = mujoco.MjData(model)
-        dry = self.coulomb_N_m * random.normal(1.0, 0.08)
-        phases, speeds = (
-            random.uniform(
-                0.0,
-                2.0 * np.pi,
-                3,
-            ),
-            random.uniform(1.0, 5.0, 3),
-        )
-
-        def goal_at(t: float) -> float:
-            return float(np.sum(0.5 * (np.sin(speeds * t + phases) - np.sin(phases))))
-
-        rows: dict[str, list[float]] = {name: [] for name in ("t", "position", "goal", "voltage")}
-        every = round(1.0 / (rate_hz * STEP_S))
-        goal = 0.0
-        current = 0.0
-        for step in range(round(LASTS_S / STEP_S)):
-            t = step * STEP_S
-            angle = float(data.qpos[0])
-            speed = float(data.qvel[0])
-            # goals come at 100 Hz and reach the law late
-            heard = goal_at(max(np.floor((t - self.delay_s) * 100.0 + 1e-9) / 100.0, 0.0))
-            goal += float(np.clip(heard - goal, -5.215 * STEP_S, 5.215 * STEP_S))
-            # the law reads its encoder in counts
-            read = round(angle / 0.00153398) * 0.00153398
-            duty = float(np.clip(GAIN * (goal - read), -0.97, 0.97))
-            voltage = self.supply_V - self.source_ohm * abs(current * duty)
-            current = (voltage * duty - self.torque_constant * speed) / 2.68
-            torque = self.torque_constant * current
-            if step % every == 0:
-                rows["t"].append(t)
-                rows["position"].append(
-                    round((angle + random.normal(0.0, 3e-4)) / 0.00153398) * 0.00153398
-                )
-                rows["goal"].append(goal_at(t))
-                rows["voltage"].append(voltage + random.normal(0.0, 0.05))
-            # what gears lose grows with what they carry
-            model.dof_frictionloss[0] = dry + self.lost * abs(moment * GRAVITY * np.sin(angle))
-            data.ctrl[0] = torque
-            mujoco.mj_step(model, data)
-        return {name: np.array(values) for name, values in rows.items()}
+        return mujoco.MjModel.from_xml_string(text), moment
 
 
 Row = tuple[float, float | None, float, tuple[float, float]]

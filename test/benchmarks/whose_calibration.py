@@ -14,7 +14,7 @@ import itertools
 import sys
 import tempfile
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -270,25 +270,12 @@ def servo_file(
 
 def real_driven(options: Any, folder: Path) -> Iterator[Answer]:
     """Of the real servos under their own controllers: each motion by all others, by the other servo's, by the other gain's."""
-    bags = {}
-    for bag in sorted(options.recordings.glob("xl330_*")):
-        bags[bag.name] = (bag, XL330_KG)
-    for bag in sorted(options.recordings.glob("sts3215_*kg")):
-        bags[bag.name] = (bag, float(bag.name.rpartition("_")[2].removesuffix("kg")))
     taken = {
-        name: its for name, its in bags.items() if "release" not in name and "lift" not in name
+        name: its
+        for name, its in weighed_bags(options.recordings).items()
+        if "release" not in name and "lift" not in name
     }
-    laws = {
-        "xl330": (XL330_DRIVE, "0.0", POINT),
-        "sts3215": (STS_DRIVE, "0.02", DISC),
-    }
-    for gain, per_rad in XL330_GAINS.items():
-        laws[f"xl330_{gain}"] = (
-            f"{{kind: position_servo, gain_per_rad: {per_rad}}}",
-            "0.0",
-            POINT,
-        )
-    for name, (law, delay, facts) in laws.items():
+    for name, (law, delay, facts) in laws().items():
         robot = servo_file(folder, name, law, delay)
         request = Request(robot, Options())
         motions = {each: (bag_motion(bag, request), kg) for each, (bag, kg) in taken.items()}
@@ -307,6 +294,28 @@ def real_driven(options: Any, folder: Path) -> Iterator[Answer]:
                 yield driven.ask(row, False, each, by)
 
 
+def weighed_bags(recordings: Path) -> dict[str, tuple[Path, float]]:
+    """The bags of both servos, and the masses in them [kg]."""
+    bags = {}
+    for bag in sorted(recordings.glob("xl330_*")):
+        bags[bag.name] = (bag, XL330_KG)
+    for bag in sorted(recordings.glob("sts3215_*kg")):
+        bags[bag.name] = (bag, float(bag.name.rpartition("_")[2].removesuffix("kg")))
+    return bags
+
+
+def laws() -> dict[str, tuple[str, str, Any]]:
+    """What drives each servo, its delay in words [s], and the shape of its loads."""
+    found = {
+        "xl330": (XL330_DRIVE, "0.0", POINT),
+        "sts3215": (STS_DRIVE, "0.02", DISC),
+    }
+    for gain, per_rad in XL330_GAINS.items():
+        drive = f"{{kind: position_servo, gain_per_rad: {per_rad}}}"
+        found[f"xl330_{gain}"] = (drive, "0.0", POINT)
+    return found
+
+
 def moved(servo: servos.Servo, load_kg: float, rng: np.random.Generator, **changed: float) -> Any:
     """A simulated servo's motion, with its arm or gain so many times as large."""
     usual = {"ARM_M": servos.ARM_M, "GAIN": servos.GAIN}
@@ -319,6 +328,9 @@ def moved(servo: servos.Servo, load_kg: float, rng: np.random.Generator, **chang
             setattr(servos, name, value)
 
 
+THE_SAME = "the same servo and gain"
+
+
 def driven(options: Any, folder: Path) -> Iterator[Answer]:
     """Of simulated servos, by the calibration of each."""
     pendulum_urdf(folder, "servo", servos.ROD_KG, servos.ARM_M)
@@ -326,60 +338,61 @@ def driven(options: Any, folder: Path) -> Iterator[Answer]:
     robot = load_robot(folder / "servo.yaml")
     numbers = itertools.count()
 
-    def motion(rows: Any, by: Robot) -> Motion:
-        bag = write(folder / f"bag{next(numbers)}", rows)
-        return bag_motion(bag, Request(by, Options()))
+    def motions(by: Robot, machine: Machine, names: Iterable[str]) -> Driven:
+        """Some motions of a machine, as that robot reads them."""
+        read = {}
+        for name in names:
+            rows, kg = machine.rows[name]
+            bag = write(folder / f"bag{next(numbers)}", rows)
+            read[name] = (bag_motion(bag, Request(by, Options())), kg)
+        return Driven(by, POINT, read)
 
-    machines = []
-    for seed in range(options.first, options.first + options.machines):
-        rng = np.random.default_rng([seed, 57])
-        servo = servos.Servo(rng)
-        late = replace(
-            robot,
-            delay=replace(
-                robot.delay,
-                value=servo.delay_s,
-                std=0.0,
-            ),
-        )
-        rows = {
-            f"known {n}": (moved(servo, kg, rng), kg)
-            for n, kg in enumerate((*servos.KNOWN_KG, *servos.KNOWN_KG))
-        }
-        for name, changed in {
-            "the same servo and gain": {},
-            **{f"its gain {times:g} times as large": {"GAIN": times} for times in GAINS},
-            **{f"its arm {times:g} times as long": {"ARM_M": times} for times in ARMS},
-        }.items():
-            kg = float(rng.uniform(0.2, 1.2))
-            rows[name] = (
-                moved(
-                    servo,
-                    kg,
-                    rng,
-                    **changed,
-                ),
-                kg,
-            )
-        machines.append((late, rows))
-    for one, (late, rows) in enumerate(machines):
-        own = Driven(
-            late, POINT, {name: (motion(each, late), kg) for name, (each, kg) in rows.items()}
-        )
+    machines = [
+        machine_of(robot, seed) for seed in range(options.first, options.first + options.machines)
+    ]
+    for machine in machines:
+        own = motions(machine.robot, machine, machine.rows)
         by = own.calibration([name for name in own.motions if name.startswith("known")])
         for name in own.motions:
             if not name.startswith("known"):
-                right = name == "the same servo and gain"
-                yield own.ask(f"simulated, driven, {name}", right, name, by)
-        for other, (_, others) in enumerate(machines):
-            if other != one:
-                its, kg = others["the same servo and gain"]
-                alien = Driven(
-                    late,
-                    POINT,
-                    {"": (motion(its, late), kg)},
-                )
-                yield alien.ask("simulated, driven, another servo", False, "", by)
+                yield own.ask(f"simulated, driven, {name}", name == THE_SAME, name, by)
+        for other in machines:
+            if other is not machine:
+                alien = motions(machine.robot, other, [THE_SAME])
+                yield alien.ask("simulated, driven, another servo", False, THE_SAME, by)
+
+
+@dataclass(frozen=True)
+class Machine:
+    """A simulated servo.
+
+    Attributes:
+        robot: What is known of it, with its own delay.
+        rows: Motions with known loads, and with it as it is or changed; and their masses [kg].
+    """
+
+    robot: Robot
+    rows: dict[str, tuple[Any, float]]
+
+
+def machine_of(robot: Robot, seed: int) -> Machine:
+    """A servo drawn at random, and its motions."""
+    rng = np.random.default_rng([seed, 57])
+    servo = servos.Servo(rng)
+    delay = replace(robot.delay, value=servo.delay_s, std=0.0)
+    rows = {
+        f"known {n}": (moved(servo, kg, rng), kg)
+        for n, kg in enumerate((*servos.KNOWN_KG, *servos.KNOWN_KG))
+    }
+    changes: dict[str, dict[str, float]] = {
+        THE_SAME: {},
+        **{f"its gain {times:g} times as large": {"GAIN": times} for times in GAINS},
+        **{f"its arm {times:g} times as long": {"ARM_M": times} for times in ARMS},
+    }
+    for name, changed in changes.items():
+        kg = float(rng.uniform(0.2, 1.2))
+        rows[name] = (moved(servo, kg, rng, **changed), kg)
+    return Machine(replace(robot, delay=delay), rows)
 
 
 PARTS = {each.__name__: each for each in (real_swings, real_driven, swings, driven)}

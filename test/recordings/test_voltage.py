@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -54,6 +55,45 @@ def robot_file(
     return path
 
 
+@dataclass(frozen=True)
+class Servo:
+    """A servo under its own position law that swings a point mass at 0.1 m.
+
+    Attributes:
+        coulomb: Its dry friction [N m].
+        carried_kg_m: First moment of what it carries [kg m].
+        inertia: Of all that turns [kg m2].
+        torque_constant: N m/A, and V s.
+        resistance: Of the motor [ohm].
+    """
+
+    coulomb: float
+    carried_kg_m: float
+    inertia: float
+    torque_constant: float
+    resistance: float
+
+    def torque(self, volt: float, angle: float, speed: float) -> float:
+        """All that turns it, under the motor's mean voltage [N m]."""
+        motor = self.torque_constant / self.resistance * (volt - self.torque_constant * speed)
+        carried = self.carried_kg_m * GRAVITY * np.sin(angle)
+        dry = (self.coulomb + 0.1 * abs(carried)) * np.tanh(speed / 0.01)
+        friction = dry + 0.02 * speed
+        return float(motor - carried - friction)
+
+
+@dataclass(frozen=True)
+class Goals:
+    """Three sines that begin at 0, (3,): what the servo is told to follow."""
+
+    phases: np.ndarray
+    speeds: np.ndarray
+
+    def at(self, t: float) -> float:
+        """At so many seconds [rad]."""
+        return float(np.sum(0.6 * (np.sin(self.speeds * t + self.phases) - np.sin(self.phases))))
+
+
 def driven(
     load_kg: float,
     seed: int,
@@ -64,46 +104,36 @@ def driven(
     torque_constant: float = 1.3,
     resistance: float = 2.0,
 ) -> dict[str, np.ndarray]:
-    """A servo under its own position law that swings a point mass at 0.1 m, integrated here in steps of 0.2 ms."""
+    """What a servo tells while it follows sines, integrated here in steps of 0.2 ms."""
     random = np.random.default_rng(seed)
-    emf = torque_constant
-    coulomb = 0.05 * random.uniform(0.9, 1.1)
-    lost = 0.1
-    viscous = 0.02
-    limit = 0.9
-    fastest = 5.0
-    delay = 0.025
+    servo = Servo(
+        coulomb=0.05 * random.uniform(0.9, 1.1),
+        carried_kg_m=(load_kg + 0.005) * 0.1,
+        inertia=load_kg * 0.01 + 0.01 * 0.01 / 3.0 + armature,
+        torque_constant=torque_constant,
+        resistance=resistance,
+    )
+    goals = Goals(random.uniform(0.0, 2.0 * np.pi, 3), random.uniform(1.0, 5.0, 3))
     step_s = 0.0002
-    phases = random.uniform(0.0, 2.0 * np.pi, 3)
-    speeds = random.uniform(1.0, 5.0, 3)
+    fastest = 5.0 * step_s
     angle = speed = moved_goal = 0.0
-    inertia = load_kg * 0.01 + 0.01 * 0.01 / 3.0
-    moment = (load_kg + 0.005) * 0.1
     rows: dict[str, list[float]] = {
         name: [] for name in ("t", "position", "goal", "duty", "voltage")
     }
-    sent = 0.0
     for k in range(round(seconds / step_s)):
         t = k * step_s
-        # goals come every 10 ms, and reach the law late
-        late = max(
-            np.floor((t - delay) / 0.01 + 1e-9) * 0.01,
-            0.0,
-        )
-        sent = float(np.sum(0.6 * (np.sin(speeds * late + phases) - np.sin(phases))))
-        moved_goal += float(np.clip(sent - moved_goal, -fastest * step_s, fastest * step_s))
+        # goals come every 10 ms, and reach the law 25 ms late
+        late = max(np.floor((t - 0.025) / 0.01 + 1e-9) * 0.01, 0.0)
+        moved_goal += float(np.clip(goals.at(late) - moved_goal, -fastest, fastest))
         voltage = 12.0 - 0.2 * np.sin(3.0 * t)
-        duty = float(np.clip(gain * (moved_goal - angle), -limit, limit))
+        duty = float(np.clip(gain * (moved_goal - angle), -0.9, 0.9))
         if k % 50 == 0:
             rows["t"].append(t)
             rows["position"].append(round((angle + random.normal(0.0, 3e-4)) / 0.0015) * 0.0015)
-            rows["goal"].append(float(np.sum(0.6 * (np.sin(speeds * t + phases) - np.sin(phases)))))
+            rows["goal"].append(goals.at(t))
             rows["duty"].append(duty)
             rows["voltage"].append(voltage + random.normal(0.0, 0.1))
-        motor = torque_constant / resistance * (voltage * duty - emf * speed)
-        carried = moment * GRAVITY * np.sin(angle)
-        friction = (coulomb + lost * abs(carried)) * np.tanh(speed / 0.01) + viscous * speed
-        speed += step_s * (motor - carried - friction) / (inertia + armature)
+        speed += step_s * servo.torque(voltage * duty, angle, speed) / servo.inertia
         angle += step_s * speed
     return {name: np.array(values) for name, values in rows.items()}
 
