@@ -96,18 +96,21 @@ def make(
             for n, (a, b) in enumerate(pairwise(edges))
         ]
         truth = [row for rows in pool.map(make_share, *zip(*shares, strict=True)) for row in rows]
-    broken = [Path(path) for path, _ in truth if "#" not in path][
-        : max(2, BROKEN * count // 10_000)
-    ]
-    for bag in broken:
-        storage = next(bag.glob("*.mcap"))
-        storage.write_bytes(storage.read_bytes()[:5000])
+    bags = [Path(path) for path, _ in truth if "#" not in path]
+    cut_short(bags[: max(2, BROKEN * count // 10_000)])
     with open(folder / "truth.csv", "w", newline="") as stream:
         csv.writer(stream).writerows([["path", "mass_kg"], *truth])
-    bags = sum("#" not in path for path, _ in truth)
+    others = count - len(bags)
     print(
-        f"{count} episodes of {seconds:g} s: {bags} bags, {count - bags} in {jobs} LeRobot v3 data sets"
+        f"{count} episodes of {seconds:g} s: {len(bags)} bags, {others} in {jobs} LeRobot v3 data sets"
     )
+
+
+def cut_short(bags: Sequence[Path]) -> None:
+    """Leaves of each only the first 5,000 bytes."""
+    for bag in bags:
+        storage = next(bag.glob("*.mcap"))
+        storage.write_bytes(storage.read_bytes()[:5000])
 
 
 def make_share(

@@ -6,13 +6,24 @@ python test/benchmarks/foreign_process.py --seed 1 [--goals --rate 30]
 from __future__ import annotations
 
 import math
+from typing import Any
 
 from support.foreign_arm import BROADCAST, ForeignArm
 
 
+def asked() -> Any:
+    """The command line's words: which arm, whether it takes goals, and how often it tells its state [Hz]."""
+    import argparse
+
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--goals", action="store_true")
+    parser.add_argument("--rate", type=float, default=500.0)
+    return parser.parse_args()
+
+
 def main() -> None:
     """Commands and joint states over DDS, each in a thread of its own, in real time."""
-    import argparse
     import threading
     import time
 
@@ -24,11 +35,7 @@ def main() -> None:
     from proprio_ros.clock import run_in_real_time
     from proprio_ros.nodes.middleware import leave_shared_memory
 
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--goals", action="store_true")
-    parser.add_argument("--rate", type=float, default=500.0)
-    given = parser.parse_args()
+    given = asked()
     leave_shared_memory()
     rclpy.init()
     node, arm, lock = (

@@ -54,6 +54,31 @@ def _times_inertia(v: np.ndarray) -> np.ndarray:
     return result
 
 
+def _wrench(
+    turn: np.ndarray,
+    spin: np.ndarray,
+    spin_rate: np.ndarray,
+    fall: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Force and moment about a body's origin, in the world, per unit of its ten parameters, (T, 3, 10) each.
+
+    Args:
+        turn: From the body's frame to the world's, (T, 3, 3).
+        spin: Its angular velocity [rad/s], (T, 3).
+        spin_rate: Its angular acceleration [rad/s2], (T, 3).
+        fall: Acceleration of its origin, less gravity [m/s2], (T, 3).
+    """
+    back = np.swapaxes(turn, 1, 2)
+    w, dw, a = ((back @ v[..., None])[..., 0] for v in (spin, spin_rate, fall))
+    force = np.zeros((len(turn), 3, 10))
+    moment = np.zeros((len(turn), 3, 10))
+    force[:, :, 0] = a
+    force[:, :, 1:4] = _cross(dw) + _cross(w) @ _cross(w)
+    moment[:, :, 1:4] = -_cross(a)
+    moment[:, :, 4:] = _times_inertia(dw) + _cross(w) @ _times_inertia(w)
+    return turn @ force, turn @ moment
+
+
 def torque_of_bodies(
     arm: Twin,
     position: np.ndarray,
@@ -95,16 +120,7 @@ def torque_of_bodies(
             spin = spin + rate
             axes.append(axis)
             origins.append(origin)
-        back = np.swapaxes(turn, 1, 2)
-        w, dw, a = ((back @ v[..., None])[..., 0] for v in (spin, spin_rate, fall))
-        force = np.zeros((count, 3, 10))
-        moment = np.zeros((count, 3, 10))
-        force[:, :, 0] = a
-        force[:, :, 1:4] = _cross(dw) + _cross(w) @ _cross(w)
-        moment[:, :, 1:4] = -_cross(a)
-        moment[:, :, 4:] = _times_inertia(dw) + _cross(w) @ _times_inertia(w)
-        force = turn @ force
-        moment = turn @ moment
+        force, moment = _wrench(turn, spin, spin_rate, fall)
         at = 10 * (body + 1) if body < joints else 0
         for joint in range(len(axes)):
             about = moment + _cross(origin - origins[joint]) @ force

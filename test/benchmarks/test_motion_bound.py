@@ -2,8 +2,17 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 import pytest
+
+if TYPE_CHECKING:
+    from motion_bound import Model
+
+
+MASS_KG = 0.1
+CENTRE_M = np.array([0.02, -0.01, 0.01])
 
 
 @pytest.mark.long
@@ -16,33 +25,28 @@ def test_the_best_estimate_on_the_simulator_s_own_laws_errs_as_much_as_the_bound
     from support.arm_in_motion import FOUR, Twin
 
     arm = Twin(21, FOUR, teeth=teeth)
-    mass = 0.1
-    centre = np.array([0.02, -0.01, 0.01])
     arm.record("empty", 5.0)
-    arm.record("loaded", 4.0, (mass, centre))
+    arm.record("loaded", 4.0, (MASS_KG, CENTRE_M))
     empty = arm.truths["empty"]
     loaded = arm.truths["loaded"]
-    model = Model(
-        arm,
-        [(empty, False), (loaded, True)],
-        parameters(
-            mass,
-            centre,
-            np.full(3, 0.4 * mass * 0.05**2),
-        ),
-    )
-    clean = model.read(model.truth)
-    for torque, truth in zip(clean, (empty, loaded), strict=True):
-        np.testing.assert_allclose(
-            torque * arm.torque,
-            truth.torque,
-            atol=1e-9,
-        )
+    held = parameters(MASS_KG, CENTRE_M, np.full(3, 0.4 * MASS_KG * 0.05**2))
+    model = Model(arm, [(empty, False), (loaded, True)], held)
+    for torque, truth in zip(model.read(model.truth), (empty, loaded), strict=True):
+        np.testing.assert_allclose(torque * arm.torque, truth.torque, atol=1e-9)
+    check_slopes(model)
+    std = FOUR.current_noise_A * np.array(FOUR.constants)
+    errors = errors_of_the_best(model, std, 400)
+    least = bound(arm, empty, loaded, MASS_KG, CENTRE_M)
+    assert least == pytest.approx(np.sqrt(model.covariance()[0][0, 0]))
+    # 400 draws show a standard deviation to 3.5 %
+    assert np.sqrt(np.mean(np.square(errors))) == pytest.approx(least, rel=0.1)
+    # noise of the positions makes no bound smaller, and hardly any larger
+    assert 1.0 <= bound(arm, empty, loaded, MASS_KG, CENTRE_M, positions=True) / least < 1.05
 
-    # priors are like measurements around the truth; from there, Newton's steps with the slopes of the truth
-    covariance, precision = model.covariance()
+
+def check_slopes(model: Model) -> None:
+    """The slopes at the truth are differences."""
     slopes = model.slopes()
-    rng = np.random.default_rng(1)
     for unknown in range(len(model.truth)):
         step = 1e-6 * np.eye(len(model.truth))[unknown]
         for rows, up, down in zip(
@@ -51,9 +55,24 @@ def test_the_best_estimate_on_the_simulator_s_own_laws_errs_as_much_as_the_bound
             np.testing.assert_allclose(
                 rows[:, unknown], (up - down).ravel() / 2e-6, atol=1e-4 * np.abs(rows).max()
             )
-    std = FOUR.current_noise_A * np.array(FOUR.constants)
+
+
+def errors_of_the_best(model: Model, std: np.ndarray, draws: int) -> list[float]:
+    """Errors of the mass [kg] that is fitted to readings with noise, with priors that are like measurements around the truth.
+
+    Each fit takes four of Newton's steps from there, with the slopes of the truth.
+
+    Args:
+        model: The laws, and the truth.
+        std: Of the noise of each joint [N m], (n,).
+        draws: How many readings are made.
+    """
+    covariance, precision = model.covariance()
+    slopes = model.slopes()
+    clean = model.read(model.truth)
+    rng = np.random.default_rng(1)
     errors = []
-    for _ in range(400):
+    for _ in range(draws):
         stated = rng.multivariate_normal(
             model.truth,
             np.linalg.inv(precision),
@@ -74,10 +93,5 @@ def test_the_best_estimate_on_the_simulator_s_own_laws_errs_as_much_as_the_bound
             step = covariance @ (score + precision @ (stated - estimate))
             estimate += step
         assert abs(step[0]) < 0.05 * np.sqrt(covariance[0, 0])
-        errors.append(estimate[0] - mass)
-    least = bound(arm, empty, loaded, mass, centre)
-    assert least == pytest.approx(np.sqrt(covariance[0, 0]))
-    # 400 draws show a standard deviation to 3.5 %
-    assert np.sqrt(np.mean(np.square(errors))) == pytest.approx(least, rel=0.1)
-    # noise of the positions makes no bound smaller, and hardly any larger
-    assert 1.0 <= bound(arm, empty, loaded, mass, centre, positions=True) / least < 1.05
+        errors.append(float(estimate[0] - MASS_KG))
+    return errors

@@ -21,71 +21,48 @@ def test_they_are_those_of_a_replay() -> None:
     random = np.random.default_rng(4)
     drive = robot.drive_trains[NAME]
     times_s = 0.5 + np.cumsum(random.uniform(0.01, 0.06, 300))
-    sent_s = np.sort(
-        random.uniform(
-            0.0,
-            times_s[-1],
-            60,
-        )
-    )
-    goals = random.uniform(-1.0, 1.0, 60)
-    position = np.interp(times_s, sent_s, goals) + 0.05 * random.standard_normal(300)
+    sent_s = np.sort(random.uniform(0.0, times_s[-1], 60))
+    goals = Goal(sent_s, random.uniform(-1.0, 1.0, 60))
+    position = np.interp(times_s, sent_s, goals.position) + 0.05 * random.standard_normal(300)
     stall = StallCurrents(robot)
-    waiting = list(zip(sent_s.tolist(), goals.tolist(), strict=True))
-    found = []
-    for time_s, at in zip(times_s.tolist(), position.tolist(), strict=True):
-        while waiting and waiting[0][0] <= time_s:
-            sent, goal = waiting.pop(0)
-            stall.hear_goals(
-                sent,
-                ["wheel", NAME],
-                [3.0, goal],
-            )
-        found.append(
-            stall.current_A(
-                NAME,
-                time_s,
-                at,
-                math.nan,
-            )
-        )
+    found = heard_one_by_one(stall, goals, times_s, position)
     law = drive.driven_by
     assert isinstance(law, PositionServo)
-    duty = law.duty(
-        times_s,
-        position,
-        None,
-        Goal(sent_s, goals),
-        robot.delay.value,
-    )
+    duty = law.duty(times_s, position, None, goals, robot.delay.value)
     told = np.isfinite(found)
     assert told.sum() > 250
     assert np.all(times_s[~told] - robot.delay.value < sent_s[0])
     # a replay takes steps of 2 ms from the first joint state on, and here each goal begins where the last had come to
-    most = (
-        law.gain_per_rad
-        * law.goal_speed_rad_s
-        * 0.004
-        * drive.supply_voltage_V
-        / drive.resistance_ohm
-    )
-    wanted = duty * drive.supply_voltage_V / drive.resistance_ohm
-    assert np.abs(np.array(found)[told] - wanted[told]).max() < most
-    stall.hear_voltage(0.0)  # nobody measures it
-    assert stall.current_A(NAME, times_s[-1] + 1.0, 0.0, 0.0) != 0.0
-    before = stall.current_A(
-        NAME,
-        times_s[-1] + 2.0,
-        0.0,
-        0.0,
-    )
-    stall.hear_voltage(0.5 * drive.supply_voltage_V)
-    assert stall.current_A(
-        NAME,
-        times_s[-1] + 3.0,
-        0.0,
-        0.0,
-    ) == pytest.approx(0.5 * before)
+    stall_A = drive.supply_voltage_V / drive.resistance_ohm
+    most = law.gain_per_rad * law.goal_speed_rad_s * 0.004 * stall_A
+    assert np.abs(found[told] - duty[told] * stall_A).max() < most
+    check_voltage(stall, times_s[-1], drive.supply_voltage_V)
+
+
+def heard_one_by_one(
+    stall: StallCurrents,
+    goals: Goal,
+    times_s: np.ndarray,
+    position: np.ndarray,
+) -> np.ndarray:
+    """The current at each of those times and angles [A], (n,), by the goals that were sent before it."""
+    waiting = list(zip(goals.times_s.tolist(), goals.position.tolist(), strict=True))
+    found = []
+    for time_s, at in zip(times_s.tolist(), position.tolist(), strict=True):
+        while waiting and waiting[0][0] <= time_s:
+            sent, goal = waiting.pop(0)
+            stall.hear_goals(sent, ["wheel", NAME], [3.0, goal])
+        found.append(stall.current_A(NAME, time_s, at, math.nan))
+    return np.array(found)
+
+
+def check_voltage(stall: StallCurrents, end_s: float, usual_V: float) -> None:
+    """Half the voltage is half the current; where nobody measures one, it is the usual one."""
+    stall.hear_voltage(0.0)
+    assert stall.current_A(NAME, end_s + 1.0, 0.0, 0.0) != 0.0
+    before = stall.current_A(NAME, end_s + 2.0, 0.0, 0.0)
+    stall.hear_voltage(0.5 * usual_V)
+    assert stall.current_A(NAME, end_s + 3.0, 0.0, 0.0) == pytest.approx(0.5 * before)
 
 
 def test_what_is_not_known_is_not_guessed() -> None:

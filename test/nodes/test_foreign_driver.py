@@ -97,9 +97,13 @@ def test_an_arm_with_another_driver_is_probed(
             assert "published best effort" in graph.log("excitation")
         finally:
             client.close()
+    check_recorded(Path(answer.message.split("recording: ")[1]))
+
+
+def check_recorded(bag: Path) -> None:
+    """The commands that drove it, and joint states as the other driver has them: without velocities."""
     drives = load_robot("open_manipulator_x").drive_trains
     constants = {name: drive.nominal_effort_per_current for name, drive in drives.items()}
-    bag = Path(answer.message.split("recording: ")[1])
     recording = read_recording(
         bag,
         nominal_torque_constants=constants,

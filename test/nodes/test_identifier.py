@@ -477,22 +477,19 @@ def test_the_push_that_comes_next_is_shown(nodes: Nodes, tmp_path: Path) -> None
         0.1,
         -0.6,
     )
-    results.choice(
-        robot,
-        Decision(
-            None,
-            "",
-            "",
-            0.05,
-            8e-4,
-            4e-4,
-            push,
-            (),
-            0.1,
-            MASS,
-        ),
-        {"joint2": -1.0},
+    undecided = Decision(
+        None,
+        "",
+        "",
+        0.05,
+        8e-4,
+        4e-4,
+        push,
+        (),
+        0.1,
+        MASS,
     )
+    results.choice(robot, undecided, {"joint2": -1.0})
     first, words, line, end = shown[-1].markers
     assert first.action == Marker.DELETEALL
     assert {m.header.frame_id for m in (words, line, end)} == {"arm1/link1"}
@@ -507,40 +504,11 @@ def test_the_push_that_comes_next_is_shown(nodes: Nodes, tmp_path: Path) -> None
             way[place], robot.model.frame_transform(robot.payload_frame, pose)[:3, 3]
         )
     assert (end.pose.position.x, end.pose.position.z) == (way[-1, 0], way[-1, 2])
-    results.choice(
-        robot,
-        Decision(
-            None,
-            "",
-            "",
-            0.06,
-            0.2,
-            4e-3,
-            push,
-            (),
-            0.1,
-            MASS,
-            is_known=False,
-        ),
-        {},
-    )
+    unknown = replace(undecided, value=0.06, half=0.2, promised=4e-3, is_known=False)
+    results.choice(robot, unknown, {})
     assert shown[-1].markers[1].text.startswith("not weighed yet\nnext: joint3")
-    results.choice(
-        robot,
-        Decision(
-            None,
-            "sure",
-            "target",
-            0.05,
-            4e-4,
-            4e-4,
-            None,
-            (),
-            0.1,
-            MASS,
-        ),
-        {"joint2": -1.0},
-    )
+    sure = replace(undecided, reason="sure", ended_by="target", half=4e-4, push=None)
+    results.choice(robot, sure, {"joint2": -1.0})
     assert [m.type for m in shown[-1].markers[1:]] == [Marker.TEXT_VIEW_FACING]
     assert shown[-1].markers[1].text.endswith("ended by: target")
     results.withdraw()

@@ -50,96 +50,112 @@ def text(words: str) -> bytes:
     return struct.pack("<I", len(words)) + words.encode()
 
 
+class ByHand:
+    """An MCAP file as its specification has it, written by hand: no writer leaves out what it may lack.
+
+    Attributes:
+        lacks: What it is without: "message indexes", "statistics", "summary" or nothing.
+        topics: Topic and type of each channel.
+        content: What is written so far.
+        indexes: Of its chunks, for the summary.
+        counts: Messages by channel.
+    """
+
+    def __init__(self, messages: Sequence[Message], compression: str, lacks: str) -> None:
+        self.messages = messages
+        self.compression = compression
+        self.lacks = lacks
+        self.topics = list(dict.fromkeys((each.topic, each.msgtype) for each in messages))
+        self.content = b"\x89MCAP0\r\n" + record(0x01, text("ros2") + text("by hand"))
+        self.indexes = b""
+        self.counts = dict.fromkeys(range(len(self.topics)), 0)
+
+    @property
+    def kinds(self) -> bytes:
+        """Records of the schemas and of the channels."""
+        return b"".join(
+            record(0x03, struct.pack("<H", n + 1) + text(kind) + text("ros2msg") + text(""))
+            + record(0x04, struct.pack("<HH", n, n + 1) + text(topic) + text("cdr") + text(""))
+            for n, (topic, kind) in enumerate(self.topics)
+        )
+
+    def add_chunk(self, mine: Sequence[Message], begins: bytes) -> None:
+        """Some messages behind what their chunk begins with, and the message indexes behind them."""
+        inner = begins
+        places: dict[int, list[tuple[int, int]]] = {}
+        for number, message in enumerate(mine):
+            channel = self.topics.index((message.topic, message.msgtype))
+            places.setdefault(channel, []).append((message.time_ns, len(inner)))
+            self.counts[channel] += 1
+            raw = bytes(TYPES.serialize_cdr(message.content, message.msgtype))
+            times = (message.time_ns, message.time_ns)
+            inner += record(0x05, struct.pack("<HIQQ", channel, number, *times) + raw)
+        span = span_of(mine)
+        packed = COMPRESSIONS[self.compression](inner)
+        head = span + struct.pack("<QI", len(inner), 0)
+        head += text(self.compression) + struct.pack("<Q", len(packed))
+        at = len(self.content)
+        self.content += record(0x06, head + packed)
+        where = struct.pack("<QQ", at, len(self.content) - at)
+        sizes = text(self.compression) + struct.pack("<QQ", len(packed), len(inner))
+        self.indexes += record(0x08, span + where + self._message_indexes(places) + sizes)
+
+    def _message_indexes(self, places: dict[int, list[tuple[int, int]]]) -> bytes:
+        """Writes those of a chunk, channel by channel; where they lie, and how long they are, for the chunk's index."""
+        begins = len(self.content)
+        offsets = b""
+        if self.lacks != "message indexes":
+            for channel, entries in places.items():
+                offsets += struct.pack("<HQ", channel, len(self.content))
+                rows = b"".join(struct.pack("<QQ", *entry) for entry in entries)
+                self.content += record(0x07, struct.pack("<HI", channel, len(rows)) + rows)
+        length = struct.pack("<Q", len(self.content) - begins)
+        return struct.pack("<I", len(offsets)) + offsets + length
+
+    def _statistics(self) -> bytes:
+        """How many messages there are, in all and of each channel."""
+        of_each = b"".join(struct.pack("<HQ", *count) for count in self.counts.items())
+        topics = len(self.topics)
+        numbers = (len(self.messages), topics, topics, 0, 0, len(self.indexes))
+        said = struct.pack("<QHIIII", *numbers) + span_of(self.messages)
+        return record(0x0B, said + struct.pack("<I", len(of_each)) + of_each)
+
+    def whole(self) -> bytes:
+        """The file, closed."""
+        self.content += record(0x0F, bytes(4))
+        start = 0
+        if self.lacks != "summary":
+            start = len(self.content)
+            self.content += self.kinds + self.indexes
+        if self.lacks == "":
+            self.content += self._statistics()
+        return self.content + record(0x02, struct.pack("<QQI", start, 0, 0)) + b"\x89MCAP0\r\n"
+
+
+def span_of(messages: Sequence[Message]) -> bytes:
+    """First and last time [ns]."""
+    times_ns = [message.time_ns for message in messages]
+    return struct.pack("<QQ", min(times_ns), max(times_ns))
+
+
 def mcap_of(
     messages: Sequence[Message],
     compression: str,
     lacks: str = "",
     chunk: int = 30,
 ) -> bytes:
-    """A file as the specification has it, with so many messages a chunk and without message indexes, statistics or summary.
+    """A file with so many messages a chunk, and without message indexes, statistics or summary.
 
-    Written by hand: no writer leaves such things out.
+    Args:
+        messages: In their order.
+        compression: Of the chunks, by its name in the specification.
+        lacks: What it is without, see `ByHand`.
+        chunk: Messages in each.
     """
-    topics = list(dict.fromkeys((message.topic, message.msgtype) for message in messages))
-    kinds = b"".join(
-        record(0x03, struct.pack("<H", n + 1) + text(kind) + text("ros2msg") + text(""))
-        + record(0x04, struct.pack("<HH", n, n + 1) + text(topic) + text("cdr") + text(""))
-        for n, (topic, kind) in enumerate(topics)
-    )
-    content = b"\x89MCAP0\r\n" + record(0x01, text("ros2") + text("by hand"))
-    indexes = b""
-    counts = dict.fromkeys(range(len(topics)), 0)
+    file = ByHand(messages, compression, lacks)
     for begin in range(0, len(messages), chunk):
-        mine = messages[begin : begin + chunk]
-        inner = b"" if begin else kinds
-        places: dict[int, list[tuple[int, int]]] = {}
-        for number, message in enumerate(mine):
-            channel = topics.index((message.topic, message.msgtype))
-            places.setdefault(channel, []).append((message.time_ns, len(inner)))
-            counts[channel] += 1
-            raw = bytes(TYPES.serialize_cdr(message.content, message.msgtype))
-            head = struct.pack(
-                "<HIQQ",
-                channel,
-                number,
-                message.time_ns,
-                message.time_ns,
-            )
-            inner += record(0x05, head + raw)
-        times_ns = [message.time_ns for message in mine]
-        packed = COMPRESSIONS[compression](inner)
-        head = struct.pack(
-            "<QQQI",
-            min(times_ns),
-            max(times_ns),
-            len(inner),
-            0,
-        )
-        head += text(compression) + struct.pack("<Q", len(packed))
-        at = len(content)
-        content += record(0x06, head + packed)
-        length = len(content) - at
-        offsets = b""
-        of_index = len(content)
-        if lacks != "message indexes":
-            for channel, entries in places.items():
-                offsets += struct.pack("<HQ", channel, len(content))
-                rows = b"".join(struct.pack("<QQ", *entry) for entry in entries)
-                content += record(
-                    0x07,
-                    struct.pack("<HI", channel, len(rows)) + rows,
-                )
-        index = struct.pack(
-            "<QQQQ",
-            min(times_ns),
-            max(times_ns),
-            at,
-            length,
-        )
-        index += struct.pack("<I", len(offsets)) + offsets
-        index += struct.pack("<Q", len(content) - of_index)
-        index += text(compression) + struct.pack("<QQ", len(packed), len(inner))
-        indexes += record(0x08, index)
-    content += record(0x0F, bytes(4))
-    start = len(content)
-    if lacks != "summary":
-        content += kinds + indexes
-        if lacks == "":
-            times_ns = [message.time_ns for message in messages]
-            of_each = b"".join(struct.pack("<HQ", *count) for count in counts.items())
-            numbers = (len(messages), len(topics), len(topics), 0, 0, len(indexes))
-            said = struct.pack(
-                "<QHIIIIQQ",
-                *numbers,
-                min(times_ns),
-                max(times_ns),
-            )
-            content += record(
-                0x0B,
-                said + struct.pack("<I", len(of_each)) + of_each,
-            )
-    start = 0 if lacks == "summary" else start
-    return content + record(0x02, struct.pack("<QQI", start, 0, 0)) + b"\x89MCAP0\r\n"
+        file.add_chunk(messages[begin : begin + chunk], b"" if begin else file.kinds)
+    return file.whole()
 
 
 @pytest.mark.parametrize("storage", STORAGES)

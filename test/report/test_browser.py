@@ -89,20 +89,7 @@ def pages(
     )
     box = replay([bags / "realistic_s00_container_sphere_12g_joint4_100mA" / "bag_mcap"], options)
     write_report(box, folder / "container.html", command="proprio replay", sources=[LONG_NAME])
-    bottle = bags / "contents_liquid_r35_h30_1mPas"
-    settings = {
-        "contents.radius": 0.035,
-        "contents.height": 0.1,
-        "contents.bottom": [0.015, 0.0, -0.04],
-    }
-    options = Options(
-        probe="contents", baseline=[bottle / f"baseline_{n}" for n in (0, 3)], settings=settings
-    )
-    inside = replay(
-        [bottle / f"run_{n}" for n in (0, 3)],
-        options,
-    )
-    write_report(inside, folder / "contents.html", command="proprio replay", sources=[LONG_NAME])
+    _contents_page(folder, bags / "contents_liquid_r35_h30_1mPas")
     _motion_pages(folder)
     _swing_pages(folder)
     _servo_pages(folder)
@@ -120,6 +107,20 @@ def pages(
     write_choices(choices, Sought("payload_mass", "kg"), 0.002, folder / "choices.html")
     write_paper_page(synthetic(), folder / "paper.html", f"proprio paper --out {LONG_NAME}", 2)
     return {path.stem: path for path in folder.glob("*.html")}
+
+
+def _contents_page(folder: Path, bottle: Path) -> None:
+    """Of what is in a bottle."""
+    settings = {
+        "contents.radius": 0.035,
+        "contents.height": 0.1,
+        "contents.bottom": [0.015, 0.0, -0.04],
+    }
+    options = Options(
+        probe="contents", baseline=[bottle / f"baseline_{n}" for n in (0, 3)], settings=settings
+    )
+    inside = replay([bottle / f"run_{n}" for n in (0, 3)], options)
+    write_report(inside, folder / "contents.html", command="proprio replay", sources=[LONG_NAME])
 
 
 def _motion_pages(folder: Path) -> None:

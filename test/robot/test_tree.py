@@ -232,6 +232,21 @@ def test_holding_joints_leaves_their_rows_out(seed: int) -> None:
     np.testing.assert_allclose(
         bias, expected_bias, rtol=0.0, atol=1e-9 * max(1.0, np.abs(expected_bias).max())
     )
+    check_frames(model, reduced, positions)
+
+
+def check_frames(
+    model: RobotModel,
+    reduced: ReducedModel,
+    positions: dict[str, float],
+) -> None:
+    """Every link is where it is without a joint held.
+
+    Args:
+        model: The whole robot.
+        reduced: With some joints held at `positions`.
+        positions: Of all joints [rad, m].
+    """
     pose, _, _ = series(
         reduced,
         np.array([positions[n] for n in reduced.joint_names]),

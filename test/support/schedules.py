@@ -548,20 +548,30 @@ class Schedule:
             side.heal()
             side.still("after all was mended")
         for side, (answered, said) in zip(self.sides, asked, strict=True):
-            answered.wait(0.0 if self.gone(side) else 1.0)
-            if not answered.is_set() and not self.gone(side):
-                side.broken("no answer came")
-            last = self.ask(side, "after all was mended")
-            if not last.startswith("accepted"):
-                side.broken(f"the next one does not work: {last}")
-            # what is late by 0.5 s ends a push of either arm
-            spared = side is not self.sides[0] and not self.drawn.network.late
-            if spared and not (said and said[0].startswith("accepted")):
-                side.broken(f"was not touched, and did not work: {said}")
+            self.works_again(side, answered, said)
         outcome.answer = " | ".join(said[0] if said else "" for _, said in asked)
         self.look_back(began_s, logged)
         outcome.simulated_s = clock.now() - began_s
         return outcome
+
+    def works_again(self, side: Side, answered: Any, said: list[str]) -> None:
+        """After all was mended an arm answers, and what was not touched has worked all along.
+
+        Args:
+            side: The arm.
+            answered: Is set once it has answered what was asked under faults.
+            said: Those answers.
+        """
+        answered.wait(0.0 if self.gone(side) else 1.0)
+        if not answered.is_set() and not self.gone(side):
+            side.broken("no answer came")
+        last = self.ask(side, "after all was mended")
+        if not last.startswith("accepted"):
+            side.broken(f"the next one does not work: {last}")
+        # what is late by 0.5 s ends a push of either arm
+        spared = side is not self.sides[0] and not self.drawn.network.late
+        if spared and not (said and said[0].startswith("accepted")):
+            side.broken(f"was not touched, and did not work: {said}")
 
     def go_wrong(self, side: Side) -> None:
         clock = self.world.clock

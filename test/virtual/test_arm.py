@@ -778,8 +778,10 @@ def test_a_step_takes_one_control_period(pendulum: Robot, control_period_s: floa
 # -------------------------------------------------------------------------------------------------------- twin experiment
 
 
+TWIN_JOINTS = ("joint1", "joint2", "joint3", "joint4", GRIPPER)
+
+
 def test_the_identification_finds_the_mass_when_the_truth_is_stated(robot: Robot) -> None:
-    names = ("joint1", "joint2", "joint3", "joint4", GRIPPER)
     nominal = Truth.nominal(robot)
     truth = replace(
         nominal,
@@ -796,14 +798,24 @@ def test_the_identification_finds_the_mass_when_the_truth_is_stated(robot: Robot
         position={"joint2": -1.4, "joint3": 0.8},
     )
     arm.hold(Payload(0.05))
+    run = pushed_elbow(arm, current_A=-0.36, push_s=0.5)
+    assert np.ptp(run.position) > 0.3
+    estimate = weigh(robot.with_overrides(stated(truth)), [run])
+    assert estimate.value("payload_mass").value == pytest.approx(0.05, abs=0.0003)
+
+
+def stated(truth: Truth) -> dict[str, float]:
+    """A robot file's values that say what is true, and that nothing else is open."""
     told: dict[str, float] = {
         "arm_scale": 1.0,
         "delay_s": 0.0,
         "link_mass_std": 0.0,
         "link_com_std_m": 0.0,
+        "link_inertia_std": 0.0,
+        "onset_jitter_s": 0.0,
+        "stamp_jitter_s": 0.0,
     }
-    told |= {"link_inertia_std": 0.0, "onset_jitter_s": 0.0, "stamp_jitter_s": 0.0}
-    for name in names:
+    for name in TWIN_JOINTS:
         drive_train = f"joints.{name}.drive_train"
         hidden = truth.joints[name]
         told |= {
@@ -816,10 +828,19 @@ def test_the_identification_finds_the_mass_when_the_truth_is_stated(robot: Robot
             f"{drive_train}.stribeck": 0.0,
             f"joints.{name}.motor.encoder_once_per_turn_rad": 0.0,
         }
+    return told
+
+
+def pushed_elbow(arm: VirtualArm, current_A: float, push_s: float) -> Run:
+    """A second at rest and a push of joint3, as a run without noise.
+
+    Args:
+        arm: The twin.
+        current_A: Of the push [A].
+        push_s: How long it lasts [s].
+    """
     goal = arm.shaft_rad()
     before_s = 1.0
-    push_s = 0.5
-    current_A = -0.36
     times = []
     rows = []
     for k in range(round((before_s + push_s) / PERIOD_S) + 1):
@@ -835,12 +856,12 @@ def test_the_identification_finds_the_mass_when_the_truth_is_stated(robot: Robot
     after = seconds >= 0.0
     others = {
         name: shafts[:, column]
-        for column, name in enumerate(names)
+        for column, name in enumerate(TWIN_JOINTS)
         if name not in ("joint3", GRIPPER)
     }
     others[GRIPPER] = 0.01149 * shafts[:, 4]
     order = np.concatenate([np.flatnonzero(~after), np.flatnonzero(after)])
-    run = Run(
+    return Run(
         name="twin",
         joint="joint3",
         onset_ns=0,
@@ -856,6 +877,3 @@ def test_the_identification_finds_the_mass_when_the_truth_is_stated(robot: Robot
         source="command",
         held_position={name: values[order] for name, values in others.items()},
     )
-    assert np.ptp(run.position) > 0.3
-    estimate = weigh(robot.with_overrides(told), [run])
-    assert estimate.value("payload_mass").value == pytest.approx(0.05, abs=0.0003)

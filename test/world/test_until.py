@@ -104,6 +104,14 @@ def test_no_push_is_chosen_before_it_is_known_where_the_arm_is(
         jobs.Jobs._await_position(live)
 
 
+def check_refreshing(sequence_file: str) -> None:
+    """One push of an empty hand, at the pace of the sequence that calibrates."""
+    sequence = load_sequence(sequence_file, load_robot("open_manipulator_x"))
+    assert sequence.hand == "empty"
+    assert len(sequence.runs) == 1
+    assert sequence.approach_velocity == 1.2
+
+
 def test_a_calibration_in_use_is_brought_up_to_date(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -172,10 +180,7 @@ def test_a_calibration_in_use_is_brought_up_to_date(
         "pushes with an empty hand: 1; a weighing of 30 g was as sure as +-0.80 g when it was made, 2.00 g by now"
     ]
     (asked,) = recorded
-    sequence = load_sequence(asked, load_robot("open_manipulator_x"))
-    assert sequence.hand == "empty"
-    assert len(sequence.runs) == 1
-    assert sequence.approach_velocity == 1.2
+    check_refreshing(asked)
     assert (bag.parent / "report.html").exists()
 
 

@@ -282,23 +282,7 @@ def test_its_settings_are_read() -> None:
 @pytest.mark.parametrize("model", [*models.MODELS][1:])
 def test_slopes_of_a_recording_s_problem_are_differences(bags: Path, model: str) -> None:
     """By what is inside, and by where the container stands."""
-    folder = bags / "contents_liquid_r35_h30_1mPas"
-    options = Options(probe="contents", settings=SETTINGS)
-    paths = [folder / "run_0", folder / "run_2"]
-    robot, recorded = read_for(
-        request := request_of(options.for_recordings(paths)),
-        paths,
-    )
-    facts = request.facts
-    assert isinstance(facts, ContentsFacts)
-    runs = [prepare_run(robot, run, None, facts.shell) for run in recorded.runs]
-    problem = models.ContentsProblem(
-        robot,
-        runs,
-        facts,
-        [True, False],
-        model,
-    )
+    problem = problem_of_two(bags / "contents_liquid_r35_h30_1mPas", model)
     rows = [
         problem.index[name]
         for name in [*(unknown.kind for unknown in problem.inside), *models.PLACE, "payload_mass"]
@@ -307,26 +291,48 @@ def test_slopes_of_a_recording_s_problem_are_differences(bags: Path, model: str)
         values = problem.base.copy()
         values[[problem.index[name] for name in ("contents_mass", "payload_mass")]] = kg, 0.04
         values[[problem.index[name] for name in models.PLACE]] += beside
-        exact = problem.simulate(values[None], np.array(rows))[2][0]
-        step = 1e-5
-        moved = np.array(
-            [
-                values + side * step * np.eye(len(values))[row]
-                for row in rows
-                for side in (1.0, -1.0)
-            ]
-        )
-        shown = problem.simulate(moved, np.array(rows[:1]))[0]
-        for n, name in enumerate(rows):
-            slope = (shown[2 * n] - shown[2 * n + 1]) / (2.0 * step)
-            for run in range(2):
-                used = problem.weight[run] > 0.0
-                largest = max(
-                    float(np.abs(slope[run][used]).max()),
-                    1e-6,
-                )
-                off = float(np.abs(exact[run, ..., n][used] - slope[run][used]).max())
-                assert off < 2e-3 * largest, (problem.unknowns[name].kind, run, off, largest)
+        check_slopes(problem, values, rows)
+
+
+def problem_of_two(folder: Path, model: str) -> models.ContentsProblem:
+    """Two runs of a container, of which the second is said to be empty."""
+    options = Options(probe="contents", settings=SETTINGS)
+    paths = [folder / "run_0", folder / "run_2"]
+    request = request_of(options.for_recordings(paths))
+    robot, recorded = read_for(request, paths)
+    facts = request.facts
+    assert isinstance(facts, ContentsFacts)
+    runs = [prepare_run(robot, run, None, facts.shell) for run in recorded.runs]
+    return models.ContentsProblem(robot, runs, facts, [True, False], model)
+
+
+def check_slopes(
+    problem: models.ContentsProblem,
+    values: np.ndarray,
+    rows: list[int],
+) -> None:
+    """Of both runs, by each of some unknowns: those that are computed are central differences.
+
+    Args:
+        problem: Of two runs.
+        values: Of all its unknowns.
+        rows: Places of some of them.
+    """
+    step = 1e-5
+    exact = problem.simulate(values[None], np.array(rows))[2][0]
+    steps = step * np.eye(len(values))
+    moved = np.array([values + side * steps[row] for row in rows for side in (1.0, -1.0)])
+    shown = problem.simulate(moved, np.array(rows[:1]))[0]
+    for n, name in enumerate(rows):
+        slope = (shown[2 * n] - shown[2 * n + 1]) / (2.0 * step)
+        for run in range(2):
+            used = problem.weight[run] > 0.0
+            largest = max(
+                float(np.abs(slope[run][used]).max()),
+                1e-6,
+            )
+            off = float(np.abs(exact[run, ..., n][used] - slope[run][used]).max())
+            assert off < 2e-3 * largest, (problem.unknowns[name].kind, run, off, largest)
 
 
 @pytest.mark.long

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
@@ -87,45 +89,60 @@ def test_tangents_are_the_slopes_of_the_rollout(others: dict[str, float]) -> Non
         )
 
 
-def test_the_rollout_is_lagranges_by_scipy() -> None:
-    """Energies differentiated numerically: a mass in a bowl in a turning frame, written without the law's equations."""
-    p = values(viscous=0.0, coulomb=0.0, load_friction=0.0, delay=0.0, tilt=0.0, slosh_friction=0.4)
-    mass, height, stiffness, loss, dry = (
-        p[0, at] for at in (MASS, HEIGHT, STIFFNESS, DAMPING, FRICTION)
-    )
-    radius = 9.81 / stiffness
+@dataclass(frozen=True)
+class Bowl:
+    """A mass in a bowl in a turning frame, by energies that are differentiated numerically, without the law's equations.
 
-    def place(q: float, x: float) -> np.ndarray:
-        """In the world: level, and up; s points down where q grows, as gravity's sine says."""
+    Attributes:
+        mass, height: Of what moves [kg, m].
+        radius: Of the bowl [m].
+        loss, dry: Of its friction, viscous and dry, per unit of mass.
+    """
+
+    mass: float
+    height: float
+    radius: float
+    loss: float
+    dry: float
+
+    def place(self, q: float, x: float) -> np.ndarray:
+        """In the world: level, and up [m]; s points down where q grows, as gravity's sine says."""
         s = np.array([np.cos(q), -np.sin(q)])
         z = np.array([np.sin(q), np.cos(q)])
-        return np.asarray((REACH + x) * s + (BELOW + height + 0.5 * x**2 / radius) * z)
+        up = BELOW + self.height + 0.5 * x**2 / self.radius
+        return np.asarray((REACH + x) * s + up * z)
 
-    def rates(_: float, y: np.ndarray) -> np.ndarray:
+    def rates(self, _: float, y: np.ndarray) -> np.ndarray:
+        """Of the joint's angle and speed, and of the mass's place and speed in the bowl."""
         q, v, x, u = y
         e = 1e-4
+        place = self.place
         by_q = (place(q + e, x) - place(q - e, x)) / (2 * e)
         by_x = (place(q, x + e) - place(q, x - e)) / (2 * e)
         # acceleration of the place where q'' = x'' = 0: second difference along the motion
         bias = (place(q + e * v, x + e * u) - 2 * place(q, x) + place(q - e * v, x - e * u)) / e**2
-        weight = np.array([0.0, -9.81])
+        falling = np.array([0.0, -9.81]) - bias
         torque = 1.8 * 0.25 - 0.1 * np.cos(q) - 0.2 * np.sin(q)
-        inner = -loss * u - dry * np.tanh(u / FRICTION_SPEED)
+        inner = -self.loss * u - self.dry * np.tanh(u / FRICTION_SPEED)
+        mass = self.mass
         matrix = np.array(
             [
                 [0.03 + mass * by_q @ by_q, mass * by_q @ by_x],
                 [mass * by_q @ by_x, mass * by_x @ by_x],
             ]
         )
-        right = np.array([torque, mass * inner]) + mass * np.array(
-            [by_q @ (weight - bias), by_x @ (weight - bias)]
-        )
+        right = np.array([torque, mass * inner]) + mass * np.array([by_q @ falling, by_x @ falling])
         a, k = np.linalg.solve(matrix, right)
         return np.array([v, a, u, k])
 
+
+def test_the_rollout_is_lagranges_by_scipy() -> None:
+    p = values(viscous=0.0, coulomb=0.0, load_friction=0.0, delay=0.0, tilt=0.0, slosh_friction=0.4)
+    radius = 9.81 / p[0, STIFFNESS]
+    bowl = Bowl(p[0, MASS], p[0, HEIGHT], radius, p[0, DAMPING], p[0, FRICTION])
     start = np.array([0.1, 0.0, radius * np.tan(0.1), 0.0])
     expected = solve_ivp(
-        rates, (0.0, 0.7), start, t_eval=TIMES, rtol=1e-8, atol=1e-10, max_step=2e-3
+        bowl.rates, (0.0, 0.7), start, t_eval=TIMES, rtol=1e-8, atol=1e-10, max_step=2e-3
     ).y
     world = np.zeros(1, dtype=np.int32)
     rolled = simulator()
