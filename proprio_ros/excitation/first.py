@@ -128,7 +128,16 @@ def first_sequence(robot: Robot, hand: str, held_kg: float = 0.0) -> plans.Excit
         runs=tuple(runs),
         description=f"lifts and lowers {' and '.join(best)} {WORDS[hand]}",
         min_clearance_m=CLEARANCE_M,
+        approach_velocity=_approach_velocity(robot),
     )
+
+
+def _approach_velocity(robot: Robot) -> float:
+    """From pose to pose, at the motor's shaft: what the stiffest servo allows, since torques on the way weigh, too [rad/s]."""
+    usual = plans.ExcitationSequence.approach_velocity
+    springs = springs_of(robot, list(robot.drive_trains))
+    allowed = [spring.fastest / plans.margin(robot, name, 1.0) for name, spring in springs.items()]
+    return min([usual, *allowed])
 
 
 def _places(

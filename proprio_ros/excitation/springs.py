@@ -11,6 +11,11 @@ from proprio_ros.robot.drives import PositionServo
 STEP_SHARE = 0.5
 """Of what a servo has left beside gravity: a step that asks for more saturates a servo that is a little stiffer than stated."""
 
+TIMED_S = 1e-3
+"""When a goal came into effect is known no better, on a computer that is busy elsewhere."""
+MISTIMED_SHARE = 0.005
+"""Of a servo's largest torque: on its way an arm is so slow that its torque is off by no more for that."""
+
 
 @dataclass(frozen=True)
 class Spring:
@@ -18,6 +23,11 @@ class Spring:
 
     stiffness: float  # [N m/rad or N/m]
     farthest: float  # from the joint, the goal at which the duty is largest [rad or m]
+
+    @property
+    def fastest(self) -> float:
+        """Speed of a goal at which its torque is known well enough: a stiff servo makes much of a little time [rad/s or m/s]."""
+        return MISTIMED_SHARE * self.farthest / TIMED_S
 
     def largest_step(self, gravity: float) -> float:
         """Of a goal, so that the servo does not saturate where it carries an effort [N m or N] already [rad or m]."""

@@ -16,6 +16,7 @@ from support.foreign_desk import GoalDesk
 
 from proprio_ros.cli import main as proprio
 from proprio_ros.excitation.first import first_sequence
+from proprio_ros.excitation.plans import ExcitationSequence
 from proprio_ros.identification.estimate import Estimate, Verdict, WidthLimit, limit_by_goals
 from proprio_ros.identification.regression.motion_estimate import calibrate_motions
 from proprio_ros.probes.payload import moving
@@ -54,6 +55,19 @@ def test_a_step_takes_half_of_what_gravity_leaves_a_servo(
         step = stiffness_per_rad * abs(run.goal_step)
         assert step <= 0.5 * (1.0 - gravity) + 0.02, "the arm is 2 % off its URDF"
         assert step >= min(0.17 * stiffness_per_rad, 0.25), "and friction is overcome"
+
+
+@pytest.mark.parametrize("stiffness_per_rad", STIFFNESSES_PER_RAD)
+def test_on_the_way_a_millisecond_is_half_a_percent_of_a_servos_torque(
+    tmp_path: Path, stiffness_per_rad: float
+) -> None:
+    velocity_rad_s = first_sequence(
+        robot_of(tmp_path, stiffness_per_rad), "payload"
+    ).approach_velocity
+    share = stiffness_per_rad * velocity_rad_s * 1e-3
+    usual_rad_s = ExcitationSequence.approach_velocity
+    assert share <= 0.005 + 1e-9
+    assert velocity_rad_s == usual_rad_s or share == pytest.approx(0.005), "and no slower than that"
 
 
 @pytest.mark.long
