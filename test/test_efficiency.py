@@ -37,6 +37,7 @@ def test_every_table_that_says_how_many_hold_is_in_it_or_is_of_recordings_that_a
         "foreign_stiff.stiffnesses",  # the answers of the row above it, by stiffness
         "mutated_pushes.mutated pushes",
         "simulated.paper",
+        "soak.soak",  # how often nodes answer; `live.live` has how well
         "time_axis.factors",
         "time_axis.machines",
     }
