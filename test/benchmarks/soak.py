@@ -214,7 +214,12 @@ def live(
         "reference_mass": 0.1,
         "reference_wait": 0.5,
     }
-    with Load(load) as busy, running(folder, identifier=identifier) as (graph, client):
+    # it stands for hardware, which waits for none of the programs beside it
+    virtual = {"real_time": True}
+    with (
+        Load(load) as busy,
+        running(folder, virtual=virtual, identifier=identifier) as (graph, client),
+    ):
         client.hear_less()
         client._executor.create_task(_hear_no_motors, client)
         calibrations = calibrated(client)

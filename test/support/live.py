@@ -111,8 +111,7 @@ def running(
     """The nodes (default all four), up and talking; parameters by node."""
     names = nodes or ("virtual", "driver", "excitation", "identifier")
     defaults: dict[str, dict[str, Any]] = {
-        # it stands for hardware, which waits for none of the programs that run beside a test
-        "virtual": {"link": folder / "bus", "seed": 1, "real_time": True},
+        "virtual": {"link": folder / "bus", "seed": 1},
         "driver": {"port": folder / "bus"},
         "excitation": {},
         "identifier": {"data_directory": folder / "data", "calibration": "none"},
