@@ -337,7 +337,7 @@ class Jobs:
         )
         return (
             True,
-            f"{baseline.noun} {answer}, {estimate.runs} runs{used}; kept as the baseline: {bag}",
+            f"{baseline.noun} {answer}, {estimate.runs} runs{used}; kept as the baseline; recording: {bag}",
         )
 
     def _calibrate(self, job: Job) -> tuple[bool, str]:
