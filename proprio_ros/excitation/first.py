@@ -133,7 +133,7 @@ def first_sequence(robot: Robot, hand: str, held_kg: float = 0.0) -> plans.Excit
 
 
 def _approach_velocity(robot: Robot) -> float:
-    """From pose to pose, at the motor's shaft: what the stiffest servo allows, since torques on the way weigh, too [rad/s]."""
+    """Speed between poses that the stiffest servo allows, at the motor's shaft: the fit uses torques on the way, too [rad/s]."""
     usual = plans.ExcitationSequence.approach_velocity
     springs = springs_of(robot, list(robot.drive_trains))
     allowed = [spring.fastest / plans.margin(robot, name, 1.0) for name, spring in springs.items()]

@@ -14,7 +14,7 @@ STEP_SHARE = 0.5
 TIMED_S = 1e-3
 """When a goal came into effect is known no better, on a computer that is busy elsewhere."""
 MISTIMED_SHARE = 0.005
-"""Of a servo's largest torque: on its way an arm is so slow that its torque is off by no more for that."""
+"""Of a servo's largest torque: so much error of the torque that uncertainty may cause on the way between poses."""
 
 
 @dataclass(frozen=True)
@@ -26,7 +26,7 @@ class Spring:
 
     @property
     def fastest(self) -> float:
-        """Speed of a goal at which its torque is known well enough: a stiff servo makes much of a little time [rad/s or m/s]."""
+        """Speed of a goal at which `TIMED_S` is worth `MISTIMED_SHARE` of the servo's largest torque [rad/s or m/s]."""
         return MISTIMED_SHARE * self.farthest / TIMED_S
 
     def largest_step(self, gravity: float) -> float:

@@ -157,24 +157,22 @@ class Fitting:
             dtype=bool,
         )
         rest = torque
-        normal = np.zeros_like(pooled.products[0])
-        solved = kept
         for _ in range(ROUNDS):
             weight = np.where(
                 moved,
                 HOP_SHARE / np.maximum(variance, 1e-18),
                 0.0,
             )
-            normal = np.tensordot(weight, pooled.products, 1)
-            solved = kept
-            values = self._solved(normal, solved)
+            asked = self._asked(np.tensordot(weight, pooled.products, 1), kept)
+            values = np.zeros(len(kept))
+            values[kept], _ = posterior(*asked)
             with_torque = np.append(values, -1.0)
             rest = np.maximum(with_torque @ pooled.products @ with_torque, 1e-9 * torque)
             variance = pooled.mean_of(rest)
-            kept = kept & ~(self.brakes & (values < 0.0))
+            kept &= ~(self.brakes & (values < 0.0))
         logs = np.log(np.where(moved, np.maximum(variance, 1e-18), 1.0))
         share = np.sqrt(rest / np.maximum(torque, 1e-18))
-        improbable = distance_from_prior(*self._asked(normal, solved))
+        improbable = distance_from_prior(*asked)
         cost = 0.5 * float(pooled.windows @ logs) + 0.5 * improbable + pooled.log_scale
         of_all = float(np.sqrt(rest.sum() / max(float(torque.sum()), 1e-18)))
         return Fit(cost, np.where(moved, share, 0.0), of_all)
@@ -199,12 +197,6 @@ class Fitting:
             windows,
             sum(part.log_scale for part in parts),
         )
-
-    def _solved(self, normal: FloatArray, kept: NDArray[np.bool_]) -> FloatArray:
-        """The unknowns that are kept by weighted products, the others 0."""
-        values = np.zeros(len(kept))
-        values[kept], _ = posterior(*self._asked(normal, kept))
-        return values
 
     def _asked(
         self, normal: FloatArray, kept: NDArray[np.bool_]

@@ -62,6 +62,15 @@ class Priors:
     per_kg: FloatArray  # standard deviations of the payload's parameters per kg that it weighs, shape (10,)
 
 
+def _in_prior_units(
+    information: FloatArray, prior: Prior
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Standard deviations of the prior, shape (U,), its correlations and the information in units of these, shapes (U, U)."""
+    spread = np.sqrt(np.diag(prior.covariance))
+    correlation = prior.covariance / spread[:, None] / spread
+    return spread, correlation, information * spread[:, None] * spread
+
+
 def posterior(
     information: FloatArray, side: FloatArray, prior: Prior
 ) -> tuple[FloatArray, FloatArray]:
@@ -76,9 +85,7 @@ def posterior(
 
     Returns: Shapes (U,) and (U, U).
     """
-    spread = np.sqrt(np.diag(prior.covariance))
-    correlation = prior.covariance / spread[:, None] / spread
-    normal = information * spread[:, None] * spread
+    spread, correlation, normal = _in_prior_units(information, prior)
     shrunk = np.linalg.solve(
         np.eye(len(spread)) + correlation @ normal,
         correlation,
@@ -91,18 +98,16 @@ def posterior(
 def distance_from_prior(information: FloatArray, side: FloatArray, prior: Prior) -> float:
     """How far the mean of `posterior` is from the prior's, squared, in the prior's standard deviations (Mahalanobis).
 
-    With the prior V, the data N and what they say s, less N times the prior's mean, the mean moves by ``V y``, where
-    ``(1 + N V) y = s``, so that this is ``y' V y``. The same as what the data still say at the mean, times the way to it, which is
-    the difference of numbers ten orders of magnitude larger: where data know an unknown to the last bits that says anything.
+    With the prior's covariance V, the data's information N and their side s at the prior's mean, the mean moves by ``V y``, where
+    ``(1 + N V) y = s``. So the distance is ``y' V y``. The gradient of the data at the new mean gives the same, but as a difference
+    of numbers that are ten orders of magnitude larger: of precise data rounding alone is left of it.
 
     Args:
         information: Of the data, N, shape (U, U).
         side: What they say, weighted alike, shape (U,).
         prior: Of the unknowns.
     """
-    spread = np.sqrt(np.diag(prior.covariance))
-    correlation = prior.covariance / spread[:, None] / spread
-    normal = information * spread[:, None] * spread
+    spread, correlation, normal = _in_prior_units(information, prior)
     pull = np.linalg.solve(
         np.eye(len(spread)) + normal @ correlation,
         spread * (side - information @ prior.values),
