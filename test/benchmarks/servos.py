@@ -14,7 +14,6 @@ from __future__ import annotations
 import sys
 import tempfile
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +22,7 @@ from results import Results, each_answer, parser_of
 from scipy.stats import binomtest
 from support.machines import pendulum_urdf
 from support.servo_bag import write
+from support.sines import Sines
 
 from proprio_ros.errors import ProprioError
 from proprio_ros.identification.estimate import Verdict
@@ -59,18 +59,6 @@ PENDULUM = """<mujoco><option timestep="{step}" gravity="0 0 -{gravity}" integra
 <joint name="j" type="hinge" axis="0 1 0" armature="{armature}" damping="{viscous}" frictionloss="0.05"/>
 <inertial pos="0 0 {centre}" mass="{mass}" diaginertia="{inertia} {inertia} 1e-6"/></body></worldbody>
 <actuator><motor joint="j"/></actuator></mujoco>"""
-
-
-@dataclass(frozen=True)
-class Goals:
-    """Three sines that begin at 0, (3,): what the servo is told to follow."""
-
-    phases: np.ndarray
-    speeds: np.ndarray
-
-    def at(self, t: float) -> float:
-        """At so many seconds [rad]."""
-        return float(np.sum(0.5 * (np.sin(self.speeds * t + self.phases) - np.sin(self.phases))))
 
 
 def counted(angle: float) -> float:
@@ -110,7 +98,7 @@ class Servo:
         model, moment = self._model(load_kg)
         data = mujoco.MjData(model)
         dry = self.coulomb_N_m * random.normal(1.0, 0.08)
-        goals = Goals(random.uniform(0.0, 2.0 * np.pi, 3), random.uniform(1.0, 5.0, 3))
+        goals = Sines.drawn(random, 0.5)
         rows: dict[str, list[float]] = {name: [] for name in ("t", "position", "goal", "voltage")}
         every = round(1.0 / (rate_hz * STEP_S))
         goal = 0.0

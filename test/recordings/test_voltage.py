@@ -13,6 +13,7 @@ from support.bends.tape import tape_of
 from support.known.asking import bent_bag
 from support.machines import REAL, pendulum_urdf
 from support.servo_bag import write
+from support.sines import Sines
 
 from proprio_ros.errors import ConfigurationError, RecordingError, RobotError
 from proprio_ros.identification.estimate import Estimate, Verdict
@@ -82,18 +83,6 @@ class Servo:
         return float(motor - carried - friction)
 
 
-@dataclass(frozen=True)
-class Goals:
-    """Three sines that begin at 0, (3,): what the servo is told to follow."""
-
-    phases: np.ndarray
-    speeds: np.ndarray
-
-    def at(self, t: float) -> float:
-        """At so many seconds [rad]."""
-        return float(np.sum(0.6 * (np.sin(self.speeds * t + self.phases) - np.sin(self.phases))))
-
-
 def driven(
     load_kg: float,
     seed: int,
@@ -113,7 +102,7 @@ def driven(
         torque_constant=torque_constant,
         resistance=resistance,
     )
-    goals = Goals(random.uniform(0.0, 2.0 * np.pi, 3), random.uniform(1.0, 5.0, 3))
+    goals = Sines.drawn(random, 0.6)
     step_s = 0.0002
     fastest = 5.0 * step_s
     angle = speed = moved_goal = 0.0
