@@ -45,10 +45,7 @@ def ends_of(model: RobotModel) -> dict[str, Ends]:
 def along(way: np.ndarray) -> np.ndarray:
     """A rotation that turns y, along which cylinders are made, to a way, shape (3, 3)."""
     to = way / np.linalg.norm(way)
-    aside = np.cross(
-        to,
-        [1.0, 0.0, 0.0] if abs(to[0]) < abs(to[2]) else [0.0, 0.0, 1.0],
-    )
+    aside = np.cross(to, np.eye(3)[np.argmin(np.abs(to))])
     aside /= np.linalg.norm(aside)
     return np.column_stack(
         [

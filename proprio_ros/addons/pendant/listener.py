@@ -5,6 +5,8 @@ It looks for news twenty times a second: however fast joint states come, an idle
 
 from __future__ import annotations
 
+import contextlib
+import queue
 import threading
 import time
 from collections.abc import Callable, Mapping
@@ -33,12 +35,10 @@ PUSHED_S = 0.01
 """So often while a joint is pushed, whose way is drawn."""
 NODES_S = 1.0
 ANSWER_S = 5.0
-"""So long a node may take for a small question."""
-OURS = ("driver", "excitation", "identifier", "virtual")
-NEWEST = QoSProfile(
-    depth=1,
-    reliability=ReliabilityPolicy.BEST_EFFORT,
-)
+"""So long a node may take to be found, and for a small question."""
+AGAIN_S = 1.0
+"""Then it is asked again: an answer is lost where the node has not found this one yet."""
+NEWEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
 STOPS = ("excitation/abort", "identifier/cancel")
 """Both leave the arm held: the push ends, and the job with it."""
 
@@ -59,10 +59,7 @@ class Listener:
         self._base = f"/{namespace}" if namespace else ""
         middleware.prepare()
         try:
-            rclpy.init(
-                args=[],
-                signal_handler_options=SignalHandlerOptions.NO,
-            )
+            rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
             self._node = Node("proprio_pendant")
         except RuntimeError as error:
             raise ConfigurationError(f"no pendant: {middleware.said_by_rcl(error)}") from error
@@ -114,13 +111,16 @@ class Listener:
         return self._node.create_client(kind, name)
 
     def _asked(self, client: Any, request: Any) -> Any:
-        """An answer, for which another thread waits; None: there is none."""
-        if not client.service_is_ready():
+        """An answer of a node that may have to be found first, for which another thread waits; None: there is none."""
+        if not client.wait_for_service(ANSWER_S):
             return None
-        answered = threading.Event()
-        future = client.call_async(request)
-        future.add_done_callback(lambda _: answered.set())
-        return future.result() if answered.wait(ANSWER_S) else None
+        answers: queue.SimpleQueue[Any] = queue.SimpleQueue()
+        ends_s = time.monotonic() + ANSWER_S
+        while time.monotonic() < ends_s:
+            client.call_async(request).add_done_callback(lambda it: answers.put(it.result()))
+            with contextlib.suppress(queue.Empty):
+                return answers.get(timeout=AGAIN_S)
+        return None
 
     def _subscribe(self) -> None:
         hear = self._news.hear
@@ -153,15 +153,11 @@ class Listener:
 
     def _look_for_nodes(self) -> None:
         there = self._node.get_node_names_and_namespaces()
-        ours = {name for name, namespace in there if namespace.rstrip("/") == self._base}
-        self._news.nodes = frozenset(ours & set(OURS))
+        beside = [name for name, namespace in there if namespace.rstrip("/") == self._base]
+        self._news.nodes = frozenset(beside)
 
     def _on_states(self, message: JointState) -> None:
-        self._news.hear_states(
-            list(message.name),
-            list(message.position),
-            list(message.effort),
-        )
+        self._news.hear_states(list(message.name), list(message.position), list(message.effort))
 
     def _on(self, about: str) -> Any:
         return lambda message: self._news.hear(about, _said(message))
@@ -172,10 +168,7 @@ class Listener:
         for status in message.status:
             said = _said(status)
             final = said.values.get("final") == "true"
-            self._news.hear_estimate(
-                said,
-                max(late_s, 0.0) if final else 0.0,
-            )
+            self._news.hear_estimate(said, max(late_s, 0.0) if final else 0.0)
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         driver = f"{self._base}/driver: ".lstrip("/")
@@ -199,8 +192,5 @@ def _take_newest(subscription: Any, take: Callable[[Any], None]) -> None:
 
 def _said(message: DiagnosticStatus) -> Said:
     return Said(
-        message.level[0],
-        str(message.name),
-        str(message.message),
-        messages.values_of(message),
+        message.level[0], str(message.name), str(message.message), messages.values_of(message)
     )

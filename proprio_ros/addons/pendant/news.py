@@ -87,7 +87,7 @@ class News:
         entries: Newest of what is said, by what it is about.
         curve: The mass in the last minute.
         pushes: Of the call that is under way, or was last; also the one that is being made.
-        nodes: Those of ours that are there, by their own names.
+        nodes: Those that are in the namespace, by their own names.
     """
 
     now: Callable[[], float] = monotonic

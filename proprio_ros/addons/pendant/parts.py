@@ -14,15 +14,7 @@ from proprio_ros.addons.pendant.places import MOST_BYTES
 from proprio_ros.errors import ProprioError
 
 GREY = "#8a94a3"
-COLOURS = [
-    "#2a9cc4",
-    "#e08a2c",
-    "#5fa35a",
-    "#c9605c",
-    "#9380c6",
-    "#b08d57",
-    "#7f8fa6",
-]
+COLOURS = ["#2a9cc4", "#e08a2c", "#5fa35a", "#c9605c", "#9380c6", "#b08d57", "#7f8fa6"]
 """Of curves, on bright and dark."""
 LINE = {"type": "line", "symbol": "none", "animation": False}
 READS_S = 0.5
@@ -45,8 +37,8 @@ def attempt(act: Callable[[], Any]) -> None:
 
 
 def refuse(why: str) -> None:
-    """Say why not, for as long as it takes to read."""
-    ui.notify(why, type="negative", timeout=8000)
+    """Say why not, until that is put away."""
+    ui.notify(why, type="negative", timeout=0, close_button="OK")
 
 
 def card(name: str) -> ui.element:
@@ -120,12 +112,7 @@ def chart(title: str, across: Mapping[str, Any], series: Sequence[Mapping[str, A
     shown = ui.echart(
         {
             "color": COLOURS,
-            "grid": {
-                "left": 56,
-                "right": 30,
-                "top": 64,
-                "bottom": 26,
-            },
+            "grid": {"left": 56, "right": 30, "top": 64, "bottom": 26},
             "title": {"text": title, "textStyle": {"color": GREY, "fontSize": 12}},
             "legend": {"top": 30, "type": "scroll", "textStyle": {"color": GREY}},
             "tooltip": {"trigger": "axis"},

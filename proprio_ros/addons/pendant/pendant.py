@@ -121,25 +121,28 @@ class Pendant:
             self.stop()
 
     async def parameters(self, *names: str) -> dict[str, Any] | None:
-        """Those of the identifier; None: it does not answer."""
+        """Those of the identifier, which may have to be found first; None: it does not answer."""
         if self._listener is None:
             return None
         return await asyncio.to_thread(self._listener.parameters, *names)
 
+    async def _stated(self, name: str) -> str:
+        """One of an identifier that was found, for a page that waits for no other; empty: there is none."""
+        found = await self.parameters(name) if "identifier" in self.news.nodes else None
+        return str(found[name]) if found else ""
+
     async def at_desk(self) -> Desk:
         """The desk, with what the nodes keep, where they say it."""
-        found = await self.parameters("data_directory")
-        if found and found["data_directory"]:
-            folder = Path(str(found["data_directory"])).expanduser() / self.namespace
+        stated = await self._stated("data_directory")
+        if stated:
+            folder = Path(stated).expanduser() / self.namespace
             self.desk.places.data = folder.resolve()
         return self.desk
 
     async def robot(self) -> Robot | None:
         """The arm that the identifier weighs with; None: it is not known here."""
-        found = await self.parameters("robot")
-        if found is None:
-            return None
-        return await asyncio.to_thread(_robot, str(found["robot"]))
+        name = await self._stated("robot")
+        return await asyncio.to_thread(_robot, name) if name else None
 
     async def put_back(self, values: Mapping[str, Any]) -> None:
         """State parameters as they were before a call that is over."""

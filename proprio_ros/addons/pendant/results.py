@@ -116,11 +116,8 @@ def checked(found: Mapping[str, Any]) -> str:
         said += f'<p class="problem">{escape(found["problem"])}</p>'
     notes = [*found.get("record", ()), *(each["sentence"] for each in found.get("findings", ()))]
     advice = "".join(f"<li>{escape(words)}</li>" for words in (*notes, *found.get("notes", ())))
-    return (
-        said
-        + _runs(found.get("runs", ()))
-        + (f'<ul class="reasons">{advice}</ul>' if advice else "")
-    )
+    listed = f'<ul class="reasons">{advice}</ul>' if advice else ""
+    return said + _runs(found.get("runs", ())) + listed
 
 
 def _runs(runs: Sequence[Mapping[str, Any]]) -> str:
@@ -143,20 +140,8 @@ def _runs(runs: Sequence[Mapping[str, Any]]) -> str:
                 judged,
             ]
         )
-    return (
-        table(
-            [
-                "run of",
-                "mA",
-                "s",
-                "travel",
-                "",
-            ],
-            rows,
-        )
-        if rows
-        else ""
-    )
+    titles = ["run of", "mA", "s", "travel", ""]
+    return table(titles, rows) if rows else ""
 
 
 def _batch(found: Mapping[str, Any]) -> str:
@@ -220,19 +205,19 @@ def folder_of(message: str) -> Path | None:
     found = dict(_KEPT.findall(message))
     place = found.get("recording") or found.get("calibration")
     folder = Path(place).parent if place else None
-    return folder if folder is not None and folder.is_dir() else None
+    return folder if folder and folder.is_dir() else None
 
 
-def report_of(call: Call | None) -> Path | None:
-    """The page of a call's answer."""
-    folder = folder_of(str(call.answer["message"])) if call is not None and call.answer else None
-    page = folder / REPORT if folder is not None else None
-    return page if page is not None and page.is_file() else None
+def report_of(call: Call) -> Path | None:
+    """The page of a call's answer; None: it has none, or is under way."""
+    folder = folder_of(str(call.answer["message"])) if call.answer else None
+    page = folder / REPORT if folder else None
+    return page if page and page.is_file() else None
 
 
 def figures_of(page: Path | None) -> str:
     """What was measured and simulated in each run, as the page of an answer draws it."""
-    text = page.read_text(encoding="utf-8") if page is not None else ""
+    text = page.read_text(encoding="utf-8") if page else ""
     return "".join(_RUNS.findall(text))
 
 
@@ -245,7 +230,7 @@ def answer(call: Call) -> str:
     said = [str(estimate[key]) for key in estimate if key.startswith("reason.")]
     # by their codes, where the file of the answer is on this computer
     folder = folder_of(message)
-    codes = estimate_in(folder).get("reason_codes", []) if folder is not None else []
+    codes = estimate_in(folder).get("reason_codes", []) if folder else []
     why = reason_list(said, codes if len(codes) == len(said) else [])
     otherwise = "" if said else _KEPT.sub("", message).strip("; ")
     return shown_answer(badge, *answer_of(estimate), otherwise) + why

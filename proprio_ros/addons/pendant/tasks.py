@@ -145,15 +145,8 @@ def tasks() -> list[Task]:
             )
         service = f"calibrate_{probe.name}"
         title = TITLES.get(service, f"Identify the {probe.subject}")
-        held = probe.hand or "the object has to be in the hand"
-        found.append(
-            Task(
-                service,
-                title,
-                _sentence(held),
-                sequences,
-            )
-        )
+        hand = _sentence(probe.hand or "the object has to be in the hand")
+        found.append(Task(service, title, hand, sequences))
     still = "Nothing is moved by this: whoever moves the arm, moves it."
     found.append(
         Task(

@@ -54,16 +54,7 @@ def answer_of(values: Mapping[str, Any]) -> tuple[str, str]:
     value = _numbers(values.get(name))
     ends = _numbers(values.get(f"{name}.ci95"))
     std = _numbers(values.get(f"{name}.std"))
-    if (
-        not value
-        or len(ends) != 2
-        or not all(
-            map(
-                math.isfinite,
-                [*value, *ends],
-            )
-        )
-    ):
+    if not value or len(ends) != 2 or not np.all(np.isfinite([*value, *ends])):
         return "", ""
     unit = str(values.get(f"{name}.unit", ""))
     spec = spec_for(

@@ -140,7 +140,7 @@ class _Forms:
 
     async def _sequences(self, task: Task) -> list[str]:
         """What the identifier would have made."""
-        names = await self._pendant.parameters(*task.parameters, "robot", "reference_mass")
+        names = await self._pendant.parameters(*task.parameters, "reference_mass")
         if names is None:
             raise ConfigurationError("the identifier does not answer; start it: proprio live")
         sequences = [str(names[parameter]) for parameter in task.parameters]
@@ -212,7 +212,7 @@ class _Progress:
         self._draw()
         if changed:
             desk = await self._pendant.at_desk()
-            page = None if call.under_way else report_of(call)
+            page = report_of(call)
             figures = figures_of(page)
             self._figures.set_content(figures)
             self._curves.set_visibility(not figures)
