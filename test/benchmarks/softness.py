@@ -11,6 +11,7 @@ octant of the block, and our own rollout of the gripper.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import case as cases
@@ -19,6 +20,7 @@ import warp as wp
 from case import Kept, Row, Timing, measure, measure_in_turn
 from scipy.interpolate import CubicHermiteSpline
 from scipy.optimize import least_squares
+from softness_kernels import cell_kernel, force_kernel, node_kernel
 
 from proprio_ros.addons.paper.softbody import (
     FRICTION_VELOCITY,
@@ -27,7 +29,7 @@ from proprio_ros.addons.paper.softbody import (
     SoftBody,
     SoftRun,
 )
-from proprio_ros.addons.paper.softbody_kernels import MAT33, VEC3, _law_functions, frame_kernel
+from proprio_ros.addons.paper.softbody_kernels import VEC3, frame_kernel
 from proprio_ros.sim.energies import lame
 from proprio_ros.sim.joint import JointRun
 from proprio_ros.sim.mesh import box
@@ -44,136 +46,14 @@ GOALS = {2: 20.0, 4: 5.0}
 FIT_GOAL = 100.0
 EQUAL = 1e-9
 
-_change, _pull = _law_functions("log")
 
+@dataclass(frozen=True)
+class BlockState:
+    """On the device: coordinate and velocity of the gripper (2,), positions and velocities of the nodes (N,)."""
 
-@wp.func
-def _edges(
-    x: wp.array(dtype=VEC3),
-    tets: wp.array2d(dtype=wp.int32),
-    t: wp.int32,
-):
-    origin = x[tets[t, 0]]
-    return x[tets[t, 1]] - origin, x[tets[t, 2]] - origin, x[tets[t, 3]] - origin
-
-
-@wp.kernel(module="unique")
-def _cell_kernel(
-    tets: wp.array2d(dtype=wp.int32),
-    cells: wp.array(dtype=wp.int32),
-    shares: wp.array(dtype=FLOAT),
-    volumes: wp.array(dtype=FLOAT),
-    inverses: wp.array(dtype=MAT33),
-    x: wp.array(dtype=VEC3),
-    cell_j: wp.array(dtype=FLOAT),
-):
-    t = wp.tid()
-    e1, e2, e3 = _edges(x, tets, t)
-    wp.atomic_add(
-        cell_j,
-        cells[t],
-        shares[t] * _change(e1, e2, e3, volumes[t], inverses[t]),
-    )
-
-
-@wp.kernel(module="unique")
-def _force_kernel(
-    tets: wp.array2d(dtype=wp.int32),
-    cells: wp.array(dtype=wp.int32),
-    volumes: wp.array(dtype=FLOAT),
-    inverses: wp.array(dtype=MAT33),
-    grams: wp.array(dtype=MAT33),
-    p: wp.array(dtype=FLOAT),
-    x: wp.array(dtype=VEC3),
-    v: wp.array(dtype=VEC3),
-    cell_j: wp.array(dtype=FLOAT),
-    sides: wp.array(dtype=FLOAT),
-    force: wp.array(dtype=VEC3),
-    push: wp.array(dtype=FLOAT),
-):
-    t = wp.tid()
-    e1, e2, e3 = _edges(x, tets, t)
-    r1, r2, r3 = _edges(v, tets, t)
-    rates = wp.matrix_from_cols(r1, r2, r3)
-    j = cell_j[cells[t]]
-    pull = -_pull(
-        e1,
-        e2,
-        e3,
-        rates,
-        j,
-        volumes[t],
-        inverses[t],
-        grams[t],
-        p[7],
-        p[8],
-        p[9],
-    )
-    f1 = VEC3(
-        pull[0, 0],
-        pull[1, 0],
-        pull[2, 0],
-    )
-    f2 = VEC3(
-        pull[0, 1],
-        pull[1, 1],
-        pull[2, 1],
-    )
-    f3 = VEC3(
-        pull[0, 2],
-        pull[1, 2],
-        pull[2, 2],
-    )
-    wp.atomic_add(force, tets[t, 1], f1)
-    wp.atomic_add(force, tets[t, 2], f2)
-    wp.atomic_add(force, tets[t, 3], f3)
-    f0 = -(f1 + f2 + f3)
-    wp.atomic_add(force, tets[t, 0], f0)
-    outward = sides[tets[t, 0]] * f0[0] + sides[tets[t, 1]] * f1[0]
-    outward = outward + sides[tets[t, 2]] * f2[0] + sides[tets[t, 3]] * f3[0]
-    wp.atomic_add(push, 0, FLOAT(0.5) * outward)
-
-
-@wp.kernel(module="unique")
-def _node_kernel(
-    masses: wp.array(dtype=FLOAT),
-    sides: wp.array(dtype=FLOAT),
-    constants: wp.array(dtype=FLOAT),
-    current: FLOAT,
-    p: wp.array(dtype=FLOAT),
-    force: wp.array(dtype=VEC3),
-    push: wp.array(dtype=FLOAT),
-    q: wp.array(dtype=FLOAT),
-    x: wp.array(dtype=VEC3),
-    v: wp.array(dtype=VEC3),
-    q_out: wp.array(dtype=FLOAT),
-    x_out: wp.array(dtype=VEC3),
-    v_out: wp.array(dtype=VEC3),
-):
-    """Nodes, and the gripper (its state is ``q``: coordinate and velocity) as the last of them; bonded faces, in touch."""
-    i = wp.tid()
-    h = constants[4]
-    travel = constants[1]
-    half = FLOAT(0.5)
-    torque = p[1] * current - p[2] * wp.tanh(q[1] / constants[2]) - p[3] * q[1] - travel * push[0]
-    turn = q[1] + h * torque / (p[0] + FLOAT(0.25) * travel * travel * constants[3])
-    angle = q[0] + h * turn
-    if i == masses.shape[0]:
-        q_out[0] = angle
-        q_out[1] = turn
-    elif sides[i] == FLOAT(0.0):
-        speed = v[i] + (h / masses[i]) * force[i]
-        v_out[i] = speed
-        x_out[i] = x[i] + h * speed
-    else:
-        x_out[i] = VEC3(
-            sides[i] * (constants[0] - half * (travel * angle - p[6])), x[i][1], x[i][2]
-        )
-        v_out[i] = VEC3(
-            -half * sides[i] * travel * turn,
-            FLOAT(0.0),
-            FLOAT(0.0),
-        )
+    q: wp.array
+    x: wp.array
+    v: wp.array
 
 
 class PerSubstep:
@@ -212,77 +92,66 @@ class PerSubstep:
 
     def __call__(self) -> tuple[np.ndarray, np.ndarray]:
         """Positions at the end of every frame (K,), and the gradient of their sum by the parameters (P,)."""
-        steps = len(self._currents)
-        substeps = self.run.substeps
-        p0 = self._p.numpy()
-        x, v = (
-            wp.array(
-                part[0],
-                dtype=VEC3,
-                requires_grad=True,
-            )
-            for part in self._start
-        )
-        q = wp.array(
-            p0[[SOFT_INDEX["q0"], SOFT_INDEX["v0"]]],
-            dtype=FLOAT,
-            requires_grad=True,
-        )
-        tets = self._tets.shape[0]
-        nodes = len(self.body.mesh.points)
-        states = [q]
+        state = self._at_start()
+        angles = [state.q]
         tape = wp.Tape()
         with tape:
-            for n in range(steps):
-                cell_j = wp.zeros(
-                    self.body.mesh.cell_count,
-                    dtype=FLOAT,
-                    requires_grad=True,
-                )
-                force = wp.zeros(nodes, dtype=VEC3, requires_grad=True)
-                push = wp.zeros(1, dtype=FLOAT, requires_grad=True)
-                next_q = wp.empty_like(q)
-                next_x = wp.empty_like(x)
-                next_v = wp.empty_like(v)
-                wp.launch(
-                    _cell_kernel,
-                    dim=tets,
-                    inputs=[
-                        self._tets,
-                        self._cells,
-                        self._shares,
-                        self._volumes,
-                        self._inverses,
-                        x,
-                        cell_j,
-                    ],
-                )
-                wp.launch(
-                    _force_kernel,
-                    dim=tets,
-                    inputs=[
-                        self._tets, self._cells, self._volumes, self._inverses, self._grams, self._p, x, v, cell_j,
-                        self._sides, force, push,
-                    ],
-                )  # fmt: skip
-                wp.launch(
-                    _node_kernel,
-                    dim=nodes + 1,
-                    inputs=[
-                        self._masses, self._sides, self._constants, float(self._currents[n]), self._p,
-                        force, push, q, x, v, next_q, next_x, next_v,
-                    ],
-                )  # fmt: skip
-                q = next_q
-                x = next_x
-                v = next_v
-                states.append(q)
+            for current in self._currents:
+                state = self._stepped(state, float(current))
+                angles.append(state.q)
         one = wp.array([1.0, 0.0], dtype=FLOAT)
-        frames = states[substeps::substeps]
+        frames = angles[self.run.substeps :: self.run.substeps]
         tape.backward(grads=dict.fromkeys(frames, one))
         gradient = self._p.grad.numpy().copy()
         tape.zero()
         return np.array([frame.numpy()[0] for frame in frames]), gradient
+
+    def _at_start(self) -> BlockState:
+        first = self._p.numpy()[[SOFT_INDEX["q0"], SOFT_INDEX["v0"]]]
+        x, v = self._start
+        return BlockState(
+            wp.array(first, dtype=FLOAT, requires_grad=True),
+            wp.array(x[0], dtype=VEC3, requires_grad=True),
+            wp.array(v[0], dtype=VEC3, requires_grad=True),
+        )
+
+    def _stepped(self, state: BlockState, current: float) -> BlockState:
+        """After a substep under that current [A]: changes of volume, forces of tetrahedra, motion of nodes."""
+        tets = self._tets.shape[0]
+        nodes = len(self.body.mesh.points)
+        cell_j = wp.zeros(self.body.mesh.cell_count, dtype=FLOAT, requires_grad=True)
+        force = wp.zeros(nodes, dtype=VEC3, requires_grad=True)
+        push = wp.zeros(1, dtype=FLOAT, requires_grad=True)
+        after = BlockState(*(wp.empty_like(part) for part in (state.q, state.x, state.v)))
+        mesh = [self._tets, self._cells]
+        wp.launch(
+            cell_kernel,
+            dim=tets,
+            inputs=[*mesh, self._shares, self._volumes, self._inverses, state.x, cell_j],
+        )
+        elastic = [self._volumes, self._inverses, self._grams, self._p]
+        wp.launch(
+            force_kernel,
+            dim=tets,
+            inputs=[*mesh, *elastic, state.x, state.v, cell_j, self._sides, force, push],
+        )
+        known = [self._masses, self._sides, self._constants, current, self._p]
+        wp.launch(
+            node_kernel,
+            dim=nodes + 1,
+            inputs=[
+                *known,
+                force,
+                push,
+                state.q,
+                state.x,
+                state.v,
+                after.q,
+                after.x,
+                after.v,
+            ],
+        )
+        return after
 
 
 class OnePerSubstep:
@@ -563,37 +432,56 @@ class Fit:
 
 def rows(_: Any = None) -> list[Row]:
     """The table's lines."""
-    lines = []
     # a tenth of the motion is enough to see that it runs
     frames = 6 if cases.once else 60
+    lines = []
     for cells, goal in GOALS.items():
-        body, run, p = explicit_case(cells, frames)
-        three = PerSubstep(body, run, p)
-        one = OnePerSubstep(body, run, p)
-        answer = fused(body, run, p)
-        off = difference(answer, three())
-        off_one = difference(answer, one())
-        by_three, by_one, ours = measure_in_turn(
-            (three, one, lambda b=body, r=run, q=p: fused(b, r, q)), 3, (1, 1, 3)
-        )
-        lines.append(
-            Row(f"soft block {cells}^3: ours, a segment per launch, rollout and gradient", ours)
-        )
-        what = f"soft block {cells}^3: three launches per substep and wp.Tape"
-        lines.append(
-            _compared(
-                what,
-                by_three,
-                ours,
-                goal,
-                off <= EQUAL,
-                f"differs by {off:.1g}",
-            )
-        )
-        what = f"soft block {cells}^3: our kernel once per substep and wp.Tape"
-        ratio = f"{by_one.median / ours.median:.0f}x"
-        lines.append(Row(what, by_one, ratio, note=f"no goal; differs by {off_one:.1g}"))
+        lines += _rollout_rows(cells, frames, goal)
+    lines += _memory_rows(frames)
+    lines += _fit_rows()
+    return lines
+
+
+def _rollout_rows(
+    cells: int,
+    frames: int,
+    goal: float,
+) -> list[Row]:
+    """Rollout and gradient in three ways, for a block of so many cells along an edge."""
+    body, run, p = explicit_case(cells, frames)
+    three = PerSubstep(body, run, p)
+    one = OnePerSubstep(body, run, p)
+    answer = fused(body, run, p)
+    off = difference(answer, three())
+    off_one = difference(answer, one())
+    by_three, by_one, ours = measure_in_turn(
+        (three, one, lambda: fused(body, run, p)), 3, (1, 1, 3)
+    )
+    block = f"soft block {cells}^3"
+    ratio = f"{by_one.median / ours.median:.0f}x"
+    return [
+        Row(f"{block}: ours, a segment per launch, rollout and gradient", ours),
+        _compared(
+            f"{block}: three launches per substep and wp.Tape",
+            by_three,
+            ours,
+            goal,
+            off <= EQUAL,
+            f"differs by {off:.1g}",
+        ),
+        Row(
+            f"{block}: our kernel once per substep and wp.Tape",
+            by_one,
+            ratio,
+            note=f"no goal; differs by {off_one:.1g}",
+        ),
+    ]
+
+
+def _memory_rows(frames: int) -> list[Row]:
+    """A fine block with all states kept, and with those at the starts of segments alone."""
     body, run, p = explicit_case(8, frames)
+    lines = []
     for keep in ("states", "starts"):
         eight = measure(
             lambda k=keep: body.rollout(run, p, k).gradient(np.ones((1, frames))),
@@ -608,39 +496,29 @@ def rows(_: Any = None) -> list[Row]:
                 note=f"{mebibytes:.0f} MiB of states",
             )
         )
+    return lines
+
+
+def _fit_rows() -> list[Row]:
+    """Softness from one closing, both ways."""
     fit = Fit()
     by_scipy = Kept(fit.scipy)
     by_us = Kept(fit.ours)
-    theirs, ours = measure_in_turn(
-        (by_scipy, by_us),
-        3,
-        (1, 10),
-    )
-    ours_found = by_us.answer
-    scipy_found = by_scipy.answer
-    lines.append(
-        Row(
-            "softness: our fit over the table",
-            ours,
-            note=_found(ours_found, fit),
-        )
-    )
-    same = bool(
-        np.abs(ours_found / fit.truth - 1.0)[0] < 0.005
-        and np.abs(scipy_found / fit.truth - 1.0)[0] < 0.005
-    )
-    what = "softness: scipy, differences over the same finite elements"
-    lines.append(
+    theirs, ours = measure_in_turn((by_scipy, by_us), 3, (1, 10))
+    ours_off = np.abs(by_us.answer / fit.truth - 1.0)
+    scipy_off = np.abs(by_scipy.answer / fit.truth - 1.0)
+    same = bool(ours_off[0] < 0.005 and scipy_off[0] < 0.005)
+    return [
+        Row("softness: our fit over the table", ours, note=_found(by_us.answer, fit)),
         _compared(
-            what,
+            "softness: scipy, differences over the same finite elements",
             theirs,
             ours,
             FIT_GOAL,
             same,
-            _found(scipy_found, fit),
-        )
-    )
-    return lines
+            _found(by_scipy.answer, fit),
+        ),
+    ]
 
 
 def _compared(

@@ -117,7 +117,7 @@ ELSEWHERE = {
     "softness_live",  # minutes a gripper: test/world asks the same for one
     "old_news",  # beside a load, for minutes: test/world/test_old_news.py asks the same in simulated time
     "first_time", "public_urdfs",  # ask an index of packages, for minutes: test/robot/test_published_urdfs.py has one file a kind
-    "case", "figures", "filled_arm", "results",  # no benchmarks
+    "case", "figures", "filled_arm", "results", "softness_kernels",  # no benchmarks
 }  # fmt: skip
 SHORTER: dict[str, dict[str, float]] = {
     "block_until": {"FIXED_AT_MOST": 2, "BLOCKS": 1}, "container_until": {"FIXED_AT_MOST": 2}, "until_sure": {"FIXED_AT_MOST": 2},

@@ -1,6 +1,6 @@
 """The chain's bodies alone, its rollout, and the gradient of that by reverse mode: what its tangents are held against."""
 
-from functools import cache
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -16,15 +16,11 @@ from proprio_ros.addons.paper.chain import (
 from proprio_ros.addons.paper.chain_kernels import (
     INERTIAL,
     JOINT_PARAMETERS,
-    TABLE,
-    ChainData,
-    dynamics,
-    module_of,
 )
 from proprio_ros.errors import SimulationError
 from proprio_ros.robot import ReducedModel
-from proprio_ros.sim.rollout_kernels import TIME_EPS
 from proprio_ros.sim.runtime import FLOAT
+from support.chain_adjoint_kernels import taped_kernels, terms_kernel
 from support.taped import MAX_STEPS
 
 
@@ -74,267 +70,6 @@ def rollout(
         np.zeros((*np.shape(p), 1)),
     )
     return q, v
-
-
-@cache
-def terms_kernel(parents: tuple[int, ...]) -> Any:
-    """Mass matrix and inverse dynamics without armature, in the functions that the rollouts use."""
-    n = len(parents)
-    vec = wp.types.vector(length=n, dtype=FLOAT)
-    square = wp.types.matrix(
-        shape=(n, n),
-        dtype=FLOAT,
-    )
-    tree = dynamics(parents)
-    poses = tree.poses
-    screws = tree.screws
-    inertias = tree.inertias
-    velocities = tree.velocities
-    mass_matrix_of = tree.mass_matrix
-    inverse_dynamics_of = tree.inverse_dynamics
-
-    @wp.kernel(module=module_of(parents, "terms"), enable_backward=False)
-    def kernel(
-        # Model:
-        fixed: ChainData,
-        p_in: TABLE,
-        # World data in:
-        q_in: wp.array(dtype=vec),
-        v_in: wp.array(dtype=vec),
-        a_in: wp.array(dtype=vec),
-        # World data out:
-        h_out: wp.array(dtype=square),
-        torque_out: wp.array(dtype=vec),
-    ):
-        w = wp.tid()
-        x = poses(fixed, q_in[w])
-        s = screws(fixed, x)
-        inertia = inertias(p_in, 0, x)
-        h_out[w] = mass_matrix_of(s, inertia)
-        torque_out[w] = inverse_dynamics_of(
-            fixed, s, inertia, velocities(s, v_in[w]), v_in[w], a_in[w]
-        )
-
-    return kernel
-
-
-@cache
-def taped_kernels(
-    parents: tuple[int, ...],
-    integrator: str,
-) -> tuple[Any, Any, Any]:
-    """Kernels that write down the steps of the rollout, take them, and look at the samples.
-
-    The adjoint of the last two is right: every step writes its own row, no state is overwritten.
-    """
-    n = len(parents)
-    delay_column = (len(JOINT_PARAMETERS) + INERTIAL) * n
-    vec = wp.types.vector(length=n, dtype=FLOAT)
-    tree = dynamics(parents)
-    solved = tree.solved
-    sticking = tree.sticking
-    rk4 = integrator == "rk4"
-
-    @wp.func
-    def acceleration(
-        fixed: ChainData,
-        p: TABLE,
-        w: wp.int32,
-        q: vec,
-        v: vec,
-        command: vec,
-    ):
-        _x, _s, _inertia, _velocities, _root, result = solved(
-            fixed,
-            p,
-            w,
-            q,
-            v,
-            command,
-        )
-        return result
-
-    @wp.func
-    def moved(
-        fixed: ChainData,
-        p: TABLE,
-        w: wp.int32,
-        q: vec,
-        v: vec,
-        h: FLOAT,
-        command: vec,
-    ):
-        half = FLOAT(0.5)
-        sixth = FLOAT(1.0) / FLOAT(6.0)
-        two = FLOAT(2.0)
-        a1 = acceleration(fixed, p, w, q, v, command)
-        if wp.static(rk4):
-            q2 = q + half * h * v
-            v2 = v + half * h * a1
-            a2 = acceleration(fixed, p, w, q2, v2, command)
-            q3 = q + half * h * v2
-            v3 = v + half * h * a2
-            a3 = acceleration(fixed, p, w, q3, v3, command)
-            q4 = q + h * v3
-            v4 = v + h * a3
-            a4 = acceleration(fixed, p, w, q4, v4, command)
-            q_next = q + sixth * h * (v + two * v2 + two * v3 + v4)
-            v_next = v + sixth * h * (a1 + two * a2 + two * a3 + a4)
-        else:
-            v_next = v + h * a1
-            q_next = q + h * v_next
-        return q_next, v_next
-
-    @wp.func
-    def state(
-        p: TABLE,
-        w: wp.int32,
-        start: wp.int32,
-    ):
-        result = vec()
-        for i in range(n):
-            result[i] = p[w, start + i]
-        return result
-
-    @wp.kernel(module=module_of(parents, f"steps_{integrator}"), enable_backward=False)
-    def plan(
-        # Run data:
-        fixed: ChainData,
-        sample_times: wp.array(dtype=FLOAT),
-        input_times: wp.array(dtype=FLOAT),
-        input_current: wp.array(dtype=vec),
-        coarse: FLOAT,
-        fine: FLOAT,
-        # World data in:
-        p_in: TABLE,
-        # World data out: step length, its change with the delay, segment of the input (W, steps); number of steps (W,);
-        # the step after which each sample is taken, -1 before the onset (W, T)
-        step_out: TABLE,
-        step_by_delay_out: TABLE,
-        segment_out: wp.array2d(dtype=wp.int32),
-        steps_out: wp.array(dtype=wp.int32),
-        sample_step_out: wp.array2d(dtype=wp.int32),
-    ):
-        w = wp.tid()
-        q = state(p_in, w, delay_column + 1)
-        v = state(p_in, w, delay_column + 1 + n)
-        t = FLOAT(0.0)
-        t_by_delay = FLOAT(0.0)
-        segment = wp.int32(0)
-        steps = wp.int32(0)
-        for k in range(sample_times.shape[0]):
-            goal = sample_times[k] - p_in[w, delay_column]
-            sample_step_out[w, k] = -1
-            arrived = goal <= FLOAT(0.0)
-            while not arrived:
-                end = goal
-                end_by_delay = FLOAT(-1.0)
-                arrived = wp.bool(True)
-                if segment + 1 < input_times.shape[0]:
-                    if input_times[segment + 1] < goal:
-                        end = input_times[segment + 1]
-                        end_by_delay = FLOAT(0.0)
-                        arrived = wp.bool(False)
-                command = input_current[segment]
-                last = wp.bool(False)
-                while not last:
-                    h = coarse
-                    h_by_delay = FLOAT(0.0)
-                    if fine < coarse:
-                        if sticking(
-                            fixed, p_in, w, v, acceleration(fixed, p_in, w, q, v, command), coarse
-                        ):
-                            h = fine
-                    if t + h > end - FLOAT(TIME_EPS):
-                        h = end - t
-                        h_by_delay = end_by_delay - t_by_delay
-                        last = wp.bool(True)
-                    if steps < step_out.shape[1]:
-                        step_out[w, steps] = h
-                        step_by_delay_out[w, steps] = h_by_delay
-                        segment_out[w, steps] = segment
-                    q_next, v_next = moved(
-                        fixed,
-                        p_in,
-                        w,
-                        q,
-                        v,
-                        h,
-                        command,
-                    )
-                    q = q_next
-                    v = v_next
-                    steps += 1
-                    t = t + h
-                    if last:
-                        t = end
-                        t_by_delay = end_by_delay
-                if not arrived:
-                    segment += 1
-            if goal > FLOAT(0.0):
-                sample_step_out[w, k] = steps
-        steps_out[w] = steps
-
-    @wp.kernel(module=module_of(parents, f"tape_{integrator}"))
-    def roll(
-        # Run data:
-        fixed: ChainData,
-        input_current: wp.array(dtype=vec),
-        # World data in:
-        p_in: TABLE,
-        delay_at: wp.array(dtype=FLOAT),
-        step_in: TABLE,
-        step_by_delay_in: TABLE,
-        segment_in: wp.array2d(dtype=wp.int32),
-        steps_in: wp.array(dtype=wp.int32),
-        # World data out:
-        q_out: wp.array2d(dtype=vec),
-        v_out: wp.array2d(dtype=vec),
-    ):
-        w = wp.tid()
-        q_out[w, 0] = state(p_in, w, delay_column + 1)
-        v_out[w, 0] = state(
-            p_in,
-            w,
-            delay_column + 1 + n,
-        )
-        for k in range(steps_in[w]):
-            h = step_in[w, k] + step_by_delay_in[w, k] * (p_in[w, delay_column] - delay_at[w])
-            command = input_current[segment_in[w, k]]
-            q, v = moved(
-                fixed,
-                p_in,
-                w,
-                q_out[w, k],
-                v_out[w, k],
-                h,
-                command,
-            )
-            q_out[w, k + 1] = q
-            v_out[w, k + 1] = v
-
-    @wp.kernel(module=module_of(parents, f"tape_{integrator}"))
-    def observe(
-        # Run data:
-        sample_times: wp.array(dtype=FLOAT),
-        # World data in:
-        p_in: TABLE,
-        sample_step_in: wp.array2d(dtype=wp.int32),
-        q_in: wp.array2d(dtype=vec),
-        # World data out:
-        sampled_out: wp.array2d(dtype=vec),
-    ):
-        w, k = wp.tid()
-        step = sample_step_in[w, k]
-        if step < 0:
-            goal = sample_times[k] - p_in[w, delay_column]
-            sampled_out[w, k] = state(p_in, w, delay_column + 1) + goal * state(
-                p_in, w, delay_column + 1 + n
-            )
-        else:
-            sampled_out[w, k] = q_in[w, step]
-
-    return plan, roll, observe
 
 
 def rigid_body_terms(
@@ -431,84 +166,109 @@ def tape_gradient(
     if seed.shape != shape:
         raise SimulationError(f"weights have shape {seed.shape}: give {shape}")
     plan, roll, observe = taped_kernels(sim._parents, sim.integrator)
-    capacity = 0
-    for _ in range(2):  # the first counts
-        written = [
-            wp.zeros((len(p), capacity), dtype=kind, device="cpu")
-            for kind in (FLOAT, FLOAT, wp.int32)
-        ]
-        written += [
-            wp.zeros(
-                size,
-                dtype=wp.int32,
-                device="cpu",
-            )
-            for size in (len(p), shape[:2])
-        ]
-        run = [
-            sim._fixed,
-            sim._samples,
-            sim._switches,
-            sim._current,
-            *sim._steps,
-        ]
-        wp.launch(
-            plan,
-            dim=len(p),
-            inputs=[*run, doubles(p, FLOAT)],
-            outputs=written,
-            device="cpu",
-        )
-        capacity = int(written[3].numpy().max())
-        if capacity > MAX_STEPS:
-            raise SimulationError(
-                f"{capacity} steps are too many for a tape (at most {MAX_STEPS}): use a longer step, or the forward sensitivities"
-            )
-    step, by_delay, segment, steps, sample_step = written
+    steps = _planned(sim, plan, p)
     p_array = doubles(p, FLOAT, requires_grad=True)
-    delay_at = doubles(
-        p[:, sim.columns["delay"]].ravel(),
-        FLOAT,
-    )
-    q, v = (
-        wp.zeros(
-            (len(p), capacity + 1),
-            dtype=sim._vec,
-            device="cpu",
-            requires_grad=True,
-        )
-        for _ in range(2)
-    )
-    sampled = wp.zeros(
-        shape[:2],
-        dtype=sim._vec,
-        device="cpu",
-        requires_grad=True,
-    )
     tape = wp.Tape()
     with tape:
-        wp.launch(
-            roll,
-            dim=len(p),
-            inputs=[
-                sim._fixed,
-                sim._current,
-                p_array,
-                delay_at,
-                step,
-                by_delay,
-                segment,
-                steps,
-            ],
-            outputs=[q, v],
-            device="cpu",
-        )
+        q = _rolled(sim, roll, p, p_array, steps)
+        sampled = _states(sim, shape[:2])
         wp.launch(
             observe,
             dim=shape[:2],
-            inputs=[sim._samples, p_array, sample_step, q],
+            inputs=[sim._samples, p_array, steps.at_sample, q],
             outputs=[sampled],
             device="cpu",
         )
     tape.backward(grads={sampled: doubles(seed, sim._vec)})
     return p_array.grad.numpy().copy()
+
+
+@dataclass(frozen=True)
+class _Steps:
+    """The steps that a rollout takes, on the device.
+
+    Attributes:
+        length_s: Shape (W, steps).
+        by_delay: The change of each length with the delay, shape (W, steps).
+        segment: Of the input, shape (W, steps).
+        count: How many each world takes, shape (W,).
+        at_sample: How many are done at each sample, shape (W, T).
+    """
+
+    length_s: wp.array
+    by_delay: wp.array
+    segment: wp.array
+    count: wp.array
+    at_sample: wp.array
+
+
+def _planned(
+    sim: ChainSimulator,
+    plan: Any,
+    p: NDArray[np.float64],
+) -> _Steps:
+    """Count the steps, and then write them down.
+
+    Raises:
+        SimulationError: There are too many to keep.
+    """
+    capacity = 0
+    for _ in range(2):  # the first counts
+        kept = (len(p), capacity)
+        steps = _Steps(
+            wp.zeros(kept, dtype=FLOAT, device="cpu"),
+            wp.zeros(kept, dtype=FLOAT, device="cpu"),
+            wp.zeros(kept, dtype=wp.int32, device="cpu"),
+            wp.zeros(len(p), dtype=wp.int32, device="cpu"),
+            wp.zeros((len(p), len(sim._samples)), dtype=wp.int32, device="cpu"),
+        )
+        run = [sim._fixed, sim._samples, sim._switches, sim._current, *sim._steps]
+        wp.launch(
+            plan,
+            dim=len(p),
+            inputs=[*run, doubles(p, FLOAT)],
+            outputs=[steps.length_s, steps.by_delay, steps.segment, steps.count, steps.at_sample],
+            device="cpu",
+        )
+        capacity = int(steps.count.numpy().max())
+        if capacity > MAX_STEPS:
+            raise SimulationError(
+                f"{capacity} steps are too many for a tape (at most {MAX_STEPS}): use a longer step, or the forward sensitivities"
+            )
+    return steps
+
+
+def _rolled(
+    sim: ChainSimulator,
+    roll: Any,
+    p: NDArray[np.float64],
+    p_array: wp.array,
+    steps: _Steps,
+) -> wp.array:
+    """Positions before the first step and after each, shape (W, steps + 1), on the tape that is being recorded."""
+    rows = (len(p), steps.length_s.shape[1] + 1)
+    q = _states(sim, rows)
+    v = _states(sim, rows)
+    delay_at = doubles(p[:, sim.columns["delay"]].ravel(), FLOAT)
+    wp.launch(
+        roll,
+        dim=len(p),
+        inputs=[
+            sim._fixed,
+            sim._current,
+            p_array,
+            delay_at,
+            steps.length_s,
+            steps.by_delay,
+            steps.segment,
+            steps.count,
+        ],
+        outputs=[q, v],
+        device="cpu",
+    )
+    return q
+
+
+def _states(sim: ChainSimulator, shape: tuple[int, int]) -> wp.array:
+    """Zeros for a vector of the joints in each place, with room for gradients."""
+    return wp.zeros(shape, dtype=sim._vec, device="cpu", requires_grad=True)
