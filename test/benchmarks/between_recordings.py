@@ -27,6 +27,7 @@ from __future__ import annotations
 import itertools
 import os
 import tempfile
+from argparse import ArgumentParser, Namespace
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -174,6 +175,18 @@ def _learnt(
     return replace(robot, motion_calibration=estimate.motion)
 
 
+def _learnt_or_error(
+    robot: Robot,
+    empty: Sequence[Motion],
+    known: Sequence[tuple[Motion, float]] = (),
+) -> Robot | ProprioError:
+    """As `_learnt`, with the error in its place."""
+    try:
+        return _learnt(robot, empty, known)
+    except ProprioError as error:
+        return error
+
+
 @once_each()
 def arm_answers(seed: int) -> list[Answer]:
     """One arm's."""
@@ -182,12 +195,55 @@ def arm_answers(seed: int) -> list[Answer]:
     with tempfile.TemporaryDirectory() as folder:
         robot = load_robot(write_robot(Path(folder), build=build))
     empty = [arm.recorded(f"empty {n}") for n in range(3)]
-    known = [
-        (arm.recorded(f"known {n}", held), held[0])
-        for n, held in enumerate(arm.held() for _ in range(3))
-    ]
+    known = _known(arm, 3)
     load = arm.held()
-    asked = {
+    asked = _asked(arm, load)
+    answers = []
+    for name, empties, references in (
+        ("1 empty", empty[:1], []),
+        ("3 empty", empty, []),
+        ("1 empty, 1 load", empty[:1], known[:1]),
+        ("3 empty, 3 loads", empty, known),
+    ):
+        calibrated = _learnt_or_error(robot, empties, references)
+        for words, (truth, motion) in asked.items():
+            answers.append(
+                said(f"arm, {name}{words}", truth, _of_motion(calibrated, motion), f"arm {seed}")
+            )
+    return answers + _warmer_answers(robot, arm, load)
+
+
+def _warmer_answers(
+    robot: Robot,
+    arm: DifferingArm,
+    load: tuple[float, np.ndarray],
+) -> list[Answer]:
+    """A recording with a load and one without it from a minute before, the efforts of the first off by as much as `WARMER`."""
+    before = arm.recorded("before", alike=True)
+    later = arm.recorded("later", load, alike=True)
+    return [
+        said(
+            f"arm, as a minute later, efforts {by:g} times",
+            load[0],
+            lambda by=by: identify_in_motion(robot, [louder(later, by)], [before], PayloadFacts()),
+            f"arm {arm.twin.seed}",
+        )
+        for by in WARMER
+    ]
+
+
+def _known(arm: DifferingArm, count: int) -> list[tuple[Motion, float]]:
+    """So many recordings with a load each, and its mass [kg]."""
+    known = []
+    for n in range(count):
+        held = arm.held()
+        known.append((arm.recorded(f"known {n}", held), held[0]))
+    return known
+
+
+def _asked(arm: DifferingArm, load: tuple[float, np.ndarray]) -> dict[str, tuple[float, Motion]]:
+    """What an arm is asked, by the words of the row: the truth [kg], and the recording."""
+    return {
         "": (load[0], arm.recorded("asked", load)),
         ", nothing": (0.0, arm.recorded("asked empty")),
         ", elsewhere and faster": (
@@ -196,38 +252,6 @@ def arm_answers(seed: int) -> list[Answer]:
         ),
         ", elsewhere, nothing": (0.0, arm.recorded("asked elsewhere empty", elsewhere=True)),
     }
-    answers = []
-    for name, empties, references in (
-        ("1 empty", empty[:1], []),
-        ("3 empty", empty, []),
-        ("1 empty, 1 load", empty[:1], known[:1]),
-        ("3 empty, 3 loads", empty, known),
-    ):
-        try:
-            calibrated: Robot | ProprioError = _learnt(robot, empties, references)
-        except ProprioError as error:
-            calibrated = error
-        for words, (truth, motion) in asked.items():
-            answers.append(
-                said(f"arm, {name}{words}", truth, _of_motion(calibrated, motion), f"arm {seed}")
-            )
-    alike = [
-        arm.recorded("before", alike=True),
-        arm.recorded("later", load, alike=True),
-    ]
-    for by in WARMER:
-        row = f"arm, as a minute later, efforts {by:g} times"
-        answers.append(
-            said(
-                row,
-                load[0],
-                lambda by=by: identify_in_motion(
-                    robot, [louder(alike[1], by)], alike[:1], PayloadFacts()
-                ),
-                f"arm {seed}",
-            )
-        )
-    return answers
 
 
 def place_answers(seed: int) -> list[Answer]:
@@ -250,13 +274,7 @@ def place_answers(seed: int) -> list[Answer]:
         held = (load_kg, np.array([THREE.held_m, 0.0, 0.0])) if load_kg else None
         return arm.record(name, ARM_SECONDS, held, differs=own)
 
-    try:
-        learnt: Robot | ProprioError = _learnt(
-            robot,
-            [recorded("empty", 0.0, 0.0)],
-        )
-    except ProprioError as error:
-        learnt = error
+    learnt = _learnt_or_error(robot, [recorded("empty", 0.0, 0.0)])
     return [
         said(
             f"arm of 3 joints, {'where it was calibrated' if not away else f'{away:g} rad away'}{'' if kg else ', nothing'}",
@@ -503,18 +521,7 @@ def real_ur10e(real: Path, folder: Path) -> Iterator[Answer]:
             ),
         )  # type: ignore[arg-type]
 
-    pieces = {
-        n: [
-            cut(
-                bag,
-                folder / f"piece_{n}_{k}",
-                15.0 * k,
-                15.0 * k + 15.0,
-            )
-            for k in range(3)
-        ]
-        for n, bag in loaded.items()
-    }
+    pieces = {n: _pieces(bag, folder / f"piece_{n}") for n, bag in loaded.items()}
     for n, by in empty.items():
         for bag in [*loaded.values(), *pieces[14], *pieces[15]]:
             yield said("real UR10e, 1 empty", UR10E_KG, baseline(bag, by), f"{bag.name} by {n}")
@@ -522,20 +529,8 @@ def real_ur10e(real: Path, folder: Path) -> Iterator[Answer]:
             if k != n:
                 yield said("real UR10e, 1 empty, nothing", 0.0, baseline(bag, by), f"{k} by {n}")
         for k, bag in loaded.items():
-            for by_times in (0.9, 0.95, 0.97, *WARMER):
-                wrong = bent(bag, folder / f"louder_{k}_{by_times}", effort=by_times)
-                yield said(
-                    "real UR10e, efforts 3, 5, 10 % off",
-                    UR10E_KG,
-                    baseline(wrong, by),
-                    f"{k} by {n}, {by_times}",
-                )
-            for joint, zero in itertools.product(
-                ("shoulder_lift_joint", "elbow_joint"), (0.02, -0.15, 0.3)
-            ):
-                wrong = bent(bag, folder / f"{joint}_{k}_{zero}", zero_rad=zero, joint=joint)
-                row = "real UR10e, a joint's zero 0.02, 0.15, 0.3 rad off"
-                yield said(row, UR10E_KG, baseline(wrong, by), f"{k} by {n}, {joint} {zero:+g}")
+            for row, wrong, how in _wrong_ur10e(bag, k, folder):
+                yield said(row, UR10E_KG, baseline(wrong, by), f"{k} by {n}, {how}")
         for k, other in ((14, 15), (15, 14)):
             file = folder / f"ur10e_{n}_{k}.yaml"
             learnt = _calibrated(
@@ -552,6 +547,37 @@ def real_ur10e(real: Path, folder: Path) -> Iterator[Answer]:
                     _of_bag(learnt, bag, **unit),
                     f"{bag.name} by empty {n}, loaded {k}",
                 )
+
+
+def _pieces(bag: Path, folder: Path) -> list[Path]:
+    """The first three quarters of a minute in three bags, whose names begin with the folder's."""
+    return [
+        cut(bag, folder.with_name(f"{folder.name}_{k}"), 15.0 * k, 15.0 * k + 15.0)
+        for k in range(3)
+    ]
+
+
+def _wrong_ur10e(
+    bag: Path,
+    number: int,
+    folder: Path,
+) -> Iterator[tuple[str, Path, str]]:
+    """A recording bent on purpose in each way: the row of the table, the bag, and how in words.
+
+    Args:
+        bag: The recording.
+        number: Of it.
+        folder: Where the bent ones go.
+    """
+    for by_times in (0.9, 0.95, 0.97, *WARMER):
+        wrong = bent(bag, folder / f"louder_{number}_{by_times}", effort=by_times)
+        yield "real UR10e, efforts 3, 5, 10 % off", wrong, f"{by_times}"
+    for joint, zero in itertools.product(
+        ("shoulder_lift_joint", "elbow_joint"), (0.02, -0.15, 0.3)
+    ):
+        wrong = bent(bag, folder / f"{joint}_{number}_{zero}", zero_rad=zero, joint=joint)
+        row = "real UR10e, a joint's zero 0.02, 0.15, 0.3 rad off"
+        yield row, wrong, f"{joint} {zero:+g}"
 
 
 def real_kuka(real: Path, folder: Path) -> Iterator[Answer]:
@@ -616,43 +642,59 @@ def figures(
 ) -> dict[str, Any]:
     """Numbers of a row."""
     given = [answer for answer in answers if answer.given]
-    held = sum(answer.holds for answer in given)
-    low, high = (
-        binomtest(held, len(given)).proportion_ci(method="wilson") if given else (None, None)
-    )
-    sigmas = np.array([answer.sigmas for answer in given])
-    of_nothing = not any(answer.truth for answer in answers)
-    halves = [
-        (a.high - a.value) * 1e3
-        if of_nothing
-        else 100.0 * max(a.high - a.value, a.value - a.low) / a.truth
-        for a in given
-        if a.value is not None and (of_nothing or a.truth)
-    ]
-    errors = [
-        (a.value - a.truth) * (1e3 if of_nothing else 100.0 / a.truth)
-        for a in given
-        if a.value is not None and (of_nothing or a.truth)
-    ]
-    unit = "g" if of_nothing else "%"
     codes = Counter(answer.code for answer in answers if not answer.given)
+    of_nothing = not any(answer.truth for answer in answers)
     return {
         "row": row,
         "questions": len(answers),
         "accepted": sum(answer.verdict == "accepted" for answer in given),
         "too_wide": sum(answer.verdict == "too_wide" for answer in given),
+        **_held(given),
+        **_apart(given, of_nothing),
+        "refused": len(answers) - len(given),
+        "codes": ", ".join(f"{code} {count}" for code, count in codes.most_common(3)),
+    }
+
+
+def _held(given: Sequence[Answer]) -> dict[str, Any]:
+    """How many intervals hold, and how far off in standard deviations the values are."""
+    held = sum(answer.holds for answer in given)
+    found: dict[str, Any] = {
         "hold": held,
         "given": len(given),
-        "share": f"{100.0 * held / len(given):.0f} % ({100.0 * low:.0f} to {100.0 * high:.0f})"
-        if given
-        else None,
-        "rms": float(np.sqrt(np.mean(sigmas**2))) if given else None,
-        "worst": float(sigmas.max()) if given else None,
+        "share": None,
+        "rms": None,
+        "worst": None,
+    }
+    if given:
+        low, high = binomtest(held, len(given)).proportion_ci(method="wilson")
+        share = 100.0 * held / len(given)
+        found["share"] = f"{share:.0f} % ({100.0 * low:.0f} to {100.0 * high:.0f})"
+        sigmas = np.array([answer.sigmas for answer in given])
+        found["rms"] = float(np.sqrt(np.mean(sigmas**2)))
+        found["worst"] = float(sigmas.max())
+    return found
+
+
+def _apart(given: Sequence[Answer], of_nothing: bool) -> dict[str, Any]:
+    """Errors and half widths: in g where nothing is held, else in % of what is, without those of nothing."""
+    errors = []
+    halves = []
+    for answer in given:
+        assert answer.value is not None
+        above = answer.high - answer.value
+        off = answer.value - answer.truth
+        if of_nothing:
+            errors.append(1e3 * off)
+            halves.append(1e3 * above)
+        elif answer.truth:
+            errors.append(off * (100.0 / answer.truth))
+            halves.append(100.0 * max(above, answer.value - answer.low) / answer.truth)
+    unit = "g" if of_nothing else "%"
+    return {
         "error": f"{np.sqrt(np.mean(np.square(errors))):.3g} {unit}" if errors else None,
         "half": f"{np.median(halves):.3g} {unit}" if halves else None,
         **each_answer(errors, halves),
-        "refused": len(answers) - len(given),
-        "codes": ", ".join(f"{code} {count}" for code, count in codes.most_common(3)),
     }
 
 
@@ -671,35 +713,10 @@ def answers_of(task: tuple[str, Any]) -> list[Answer]:
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Print the table, a row for each kind of question."""
-    parser = parser_of(__doc__)
-    parser.add_argument("--arms", type=int, default=24)
-    parser.add_argument("--servos", type=int, default=12)
-    parser.add_argument("--pendulums", type=int, default=16)
-    parser.add_argument("--first", type=int, default=0, help="first seed")
-    parser.add_argument(
-        "--real", nargs="*", default=list(MACHINES), choices=list(MACHINES), help="default: all"
-    )
-    parser.add_argument("--recordings", type=Path, default=REAL)
-    parser.add_argument(
-        "--jobs",
-        type=int,
-        default=os.cpu_count() or 1,
-    )
-    parser.add_argument("--answers", action="store_true", help="list every answer")
-    options = parser.parse_args(arguments)
+    options = _parser().parse_args(arguments)
     results = Results(__file__, options.json, arguments)
-    tasks: list[tuple[str, Any]] = []
-    if options.recordings.is_dir():
-        tasks += [("real", (name, options.recordings)) for name in options.real]
-    for kind, count in (
-        ("arm", options.arms),
-        ("place", options.arms),
-        ("servo", options.servos),
-        ("pendulum", options.pendulums),
-    ):
-        tasks += [(kind, seed) for seed in range(options.first, options.first + count)]
     with get_context("spawn").Pool(options.jobs) as pool:
-        found = list(itertools.chain(*pool.map(answers_of, tasks, chunksize=1)))
+        found = list(itertools.chain(*pool.map(answers_of, _tasks(options), chunksize=1)))
     results.table(
         "between",
         {
@@ -719,15 +736,49 @@ def main(arguments: Sequence[str] | None = None) -> None:
     for row in rows:
         of_row = [answer for answer in found if answer.row == row]
         results.row("between", **figures(row, of_row))
-        for answer in of_row if options.answers else ():
-            told = (
-                "-"
-                if answer.value is None
-                else f"{answer.value:.4f} ({answer.low:.4f} .. {answer.high:.4f})"
-            )
-            print(f"    {answer.truth:.4f}: {told}, {answer.verdict}; {answer.asked}"[:400])
+        if options.answers:
+            _list(of_row)
     results.row("between", **figures("all", found))
     results.keep()
+
+
+def _parser() -> ArgumentParser:
+    parser = parser_of(__doc__)
+    parser.add_argument("--arms", type=int, default=24)
+    parser.add_argument("--servos", type=int, default=12)
+    parser.add_argument("--pendulums", type=int, default=16)
+    parser.add_argument("--first", type=int, default=0, help="first seed")
+    parser.add_argument(
+        "--real", nargs="*", default=list(MACHINES), choices=list(MACHINES), help="default: all"
+    )
+    parser.add_argument("--recordings", type=Path, default=REAL)
+    parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
+    parser.add_argument("--answers", action="store_true", help="list every answer")
+    return parser
+
+
+def _tasks(options: Namespace) -> list[tuple[str, Any]]:
+    """What to ask `answers_of`: the real machines, and so many seeds of each kind that is simulated."""
+    tasks: list[tuple[str, Any]] = []
+    if options.recordings.is_dir():
+        tasks += [("real", (name, options.recordings)) for name in options.real]
+    for kind, count in (
+        ("arm", options.arms),
+        ("place", options.arms),
+        ("servo", options.servos),
+        ("pendulum", options.pendulums),
+    ):
+        tasks += [(kind, seed) for seed in range(options.first, options.first + count)]
+    return tasks
+
+
+def _list(answers: Sequence[Answer]) -> None:
+    """Print each in a line."""
+    for answer in answers:
+        told = "-"
+        if answer.value is not None:
+            told = f"{answer.value:.4f} ({answer.low:.4f} .. {answer.high:.4f})"
+        print(f"    {answer.truth:.4f}: {told}, {answer.verdict}; {answer.asked}"[:400])
 
 
 if __name__ == "__main__":

@@ -15,7 +15,7 @@ import itertools
 import json
 import sys
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -347,63 +347,95 @@ STS_DRIVE = "{kind: position_servo, gain_per_rad: 2.656, limit: 0.97, goal_speed
 """Its P of 16 times 0.166, goal speed and largest duty cycle: what Rhoban/bam measured of the STS3215."""
 
 
-def by_voltage(real: Path, folder: Path) -> Iterator[Answer]:
-    """Servos that know no current, each motion weighed by others of the same machine with known loads."""
-    for name, object_is, drive, delay in (
-        ("xl330", ("--set", "payload.com=[0,0,0]"), XL330_DRIVE, "0.0"),
-        ("sts3215", STS_OBJECT, STS_DRIVE, "{value: 0.02, std: 0.02}"),
-    ):
-        pendulum(folder, name, 0.001, 0.1, "torque_constant_N_m_per_A: {value: 1.0, std: 0.4}")
-        robot = folder / f"{name}.yaml"
-        motor = f"resistance_ohm: 2.68, back_emf_V_s_per_rad: 1.0, driven_by: {drive}, "
+@dataclass(frozen=True)
+class Setup:
+    """Of a recording: the gain or the load it was made with, how the machine moved, and what it held [kg]."""
+
+    setup: str
+    motion: str
+    kg: float
+
+
+@dataclass(frozen=True)
+class ByVoltage:
+    """A servo that knows no current.
+
+    Attributes:
+        name: As its recordings begin.
+        object_is: Words of the command line that say where the load is.
+        drive: Of the robot file: what a command is.
+        delay: Of the robot file [s].
+        other: What its set-ups differ in.
+    """
+
+    name: str
+    object_is: tuple[str, ...]
+    drive: str
+    delay: str
+    other: str
+
+    def robot_file(self, folder: Path) -> Path:
+        """The pendulum's, with a motor that is driven by a voltage."""
+        drive = "torque_constant_N_m_per_A: {value: 1.0, std: 0.4}"
+        robot = pendulum(folder, self.name, 0.001, 0.1, drive)
+        motor = f"resistance_ohm: 2.68, back_emf_V_s_per_rad: 1.0, driven_by: {self.drive}, "
         text = robot.read_text().replace("motor: {", "motor: {" + motor)
-        robot.write_text(text.replace("joints:", f"delay_s: {delay}\njoints:"))
-        # machine, set-up (gain or load) and motion of each recording
-        bags = {}
-        for bag in sorted(real.glob(f"{name}_*")):
+        robot.write_text(text.replace("joints:", f"delay_s: {self.delay}\njoints:"))
+        return robot
+
+    def recordings(self, real: Path) -> dict[Path, Setup]:
+        """Those in which it is driven."""
+        found = {}
+        for bag in sorted(real.glob(f"{self.name}_*")):
             if "release" not in bag.name and "lift" not in bag.name:
                 rest = bag.name.partition("_")[2]
-                setup, motion = rest.split("_", 1) if name == "xl330" else rest.rsplit("_", 1)[::-1]
-                bags[bag] = (
-                    setup,
-                    motion,
-                    XL330_KG if name == "xl330" else float(setup.removesuffix("kg")),
-                )
-        other = "another gain" if name == "xl330" else "another load"
-        for row, known_by in (
-            (
-                f"{name.upper()} driven, motions under {other} known",
-                lambda one, two: one[0] != two[0],
-            ),
-            (f"{name.upper()} driven, other motions known", lambda one, two: one[1] != two[1]),
-            (f"{name.upper()} driven, all others known", lambda one, two: one != two),
-        ):
+                if self.name == "xl330":
+                    setup, motion = rest.split("_", 1)
+                    kg = XL330_KG
+                else:
+                    motion, setup = rest.rsplit("_", 1)
+                    kg = float(setup.removesuffix("kg"))
+                found[bag] = Setup(setup, motion, kg)
+        return found
+
+    def rows(self) -> Iterator[tuple[str, Callable[[Setup, Setup], bool]]]:
+        """Rows of the table: their names, and by which others a recording is known."""
+        driven = f"{self.name.upper()} driven"
+        yield (
+            f"{driven}, motions under {self.other} known",
+            lambda one, two: one.setup != two.setup,
+        )
+        yield f"{driven}, other motions known", lambda one, two: one.motion != two.motion
+        yield f"{driven}, all others known", lambda one, two: one != two
+
+
+BY_VOLTAGE = (
+    ByVoltage("xl330", ("--set", "payload.com=[0,0,0]"), XL330_DRIVE, "0.0", "another gain"),
+    ByVoltage("sts3215", STS_OBJECT, STS_DRIVE, "{value: 0.02, std: 0.02}", "another load"),
+)
+
+
+def by_voltage(real: Path, folder: Path) -> Iterator[Answer]:
+    """Servos that know no current, each motion weighed by others of the same machine with known loads."""
+    for servo in BY_VOLTAGE:
+        robot = servo.robot_file(folder)
+        bags = servo.recordings(real)
+        for row, known_by in servo.rows():
             written: dict[tuple[Path, ...], Path] = {}
-            for bag, what in bags.items():
-                known = tuple(each for each, its in bags.items() if known_by(what, its))
+            for bag, its in bags.items():
+                known = tuple(each for each, of in bags.items() if known_by(its, of))
                 if known not in written:
-                    written[known] = folder / f"{name}_{len(written)}_{len(known)}.yaml"
+                    written[known] = folder / f"{servo.name}_{len(written)}_{len(known)}.yaml"
                     references = [
                         word
                         for each in known
-                        for word in ("--reference", f"{each}={bags[each][2]}")
+                        for word in ("--reference", f"{each}={bags[each].kg}")
                     ]
-                    words = [
-                        "--robot",
-                        str(robot),
-                        *object_is,
-                        "--output",
-                        str(written[known]),
-                        "--force",
-                    ]
-                    said(["calibrate", *references, *words])
-                words = [
-                    str(bag),
-                    "--calibration",
-                    str(written[known]),
-                    *object_is,
-                ]
-                yield asked(row, f"{bag.name} by {len(known)}", what[2], words)
+                    words = ["--robot", str(robot), *servo.object_is]
+                    output = ["--output", str(written[known]), "--force"]
+                    said(["calibrate", *references, *words, *output])
+                words = [str(bag), "--calibration", str(written[known]), *servo.object_is]
+                yield asked(row, f"{bag.name} by {len(known)}", its.kg, words)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -467,22 +499,11 @@ def _figures(
     """Numbers of a row: errors and half intervals in % of the truth, or in g where it is nothing."""
     given = [answer for answer in answers if answer.given]
     wide = sum(answer.verdict == "too_wide" for answer in given)
+    hold = sum(answer.holds for answer in given)
     relative = all(answer.truth for answer in answers)
-    same = relative or not any(answer.truth for answer in answers)
-    errors = []
-    halves = []
-    for answer in given if same else ():
-        assert answer.value is not None and answer.low is not None and answer.high is not None
-        scale = 100.0 / answer.truth if relative else 1e3
-        errors.append(scale * (answer.value - answer.truth))
-        halves.append(scale * max(answer.high - answer.value, answer.value - answer.low))
-    words = "{:.1f} %" if relative else "{:.0f} g"
-    # of the answer that is farthest off in kg (or m)
-    far = max(
-        range(len(errors)),
-        key=lambda row: abs(errors[row] * given[row].truth if relative else errors[row]),
-        default=0,
-    )
+    comparable = relative or not any(answer.truth for answer in answers)
+    compared = given if comparable else []
+    errors, halves = _apart(compared, relative)
     return {
         "asked": name,
         "questions": len(answers),
@@ -490,13 +511,41 @@ def _figures(
         "too_wide": wide,
         "refused": len(answers) - len(given),
         "given": len(given),
-        "hold": sum(answer.holds for answer in given),
-        "held": f"{sum(answer.holds for answer in given)} of {len(given)}" if given else None,
-        "worst": words.format(abs(errors[far])) if errors else None if same else "",
+        "hold": hold,
+        "held": f"{hold} of {len(given)}" if given else None,
+        "worst": _largest(errors, compared, relative) if comparable else "",
         "farthest": max((answer.sigmas for answer in given), default=None),
         "errors": errors,
         "half_intervals": halves,
     }
+
+
+def _apart(given: Sequence[Answer], relative: bool) -> tuple[list[float], list[float]]:
+    """Errors and half intervals: ``relative`` in % of the truth, else in g (or mm)."""
+    errors = []
+    halves = []
+    for answer in given:
+        assert answer.value is not None and answer.low is not None and answer.high is not None
+        scale = 100.0 / answer.truth if relative else 1e3
+        errors.append(scale * (answer.value - answer.truth))
+        halves.append(scale * max(answer.high - answer.value, answer.value - answer.low))
+    return errors, halves
+
+
+def _largest(
+    errors: Sequence[float],
+    given: Sequence[Answer],
+    relative: bool,
+) -> str | None:
+    """In words, the error of the answer that is farthest off in kg (or m); None where there is none."""
+    if not errors:
+        return None
+
+    def off(row: int) -> float:
+        return abs(errors[row] * given[row].truth if relative else errors[row])
+
+    far = abs(errors[max(range(len(errors)), key=off)])
+    return f"{far:.1f} %" if relative else f"{far:.0f} g"
 
 
 if __name__ == "__main__":
