@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 from coverage import MATCHED
 from random_arm import (
+    BRAKED_S,
     EFFECTS,
     EMPTY_PROBES,
     GRIPPER,
@@ -350,6 +351,65 @@ def probe_of(
     )
 
 
+@dataclass(frozen=True)
+class _Recorder:
+    """Records pushes of one robot into bags of a folder.
+
+    Attributes:
+        folder: Where the bags go.
+        hidden: The robot.
+        rng: Draws what differs from push to push.
+    """
+
+    folder: Path
+    hidden: HiddenRobot
+    rng: np.random.Generator
+
+    def write(
+        self,
+        name: str,
+        probe: Probe,
+        held: Load | None,
+        shake: tuple[float, float] = (0.0, 1.0),
+        after_s: float = BRAKED_S,
+    ) -> dict[str, Any]:
+        """One push, and what the truth says of it.
+
+        Args:
+            name: Of the bag.
+            probe: The push.
+            held: What is in the hand.
+            shake: Amplitude [A] and period [s] of a square wave about its current.
+            after_s: How long it is held and recorded afterwards.
+        """
+        made = record(
+            self.hidden,
+            probe.joint,
+            probe.start,
+            probe.current_A,
+            probe.duration_s,
+            held,
+            self.rng,
+            shake,
+            after_s,
+        )
+        later = replace(
+            made,
+            joints=replace(made.joints, times_ns=made.joints.times_ns + ONSET_NS),
+            inputs=replace(made.inputs, times_ns=made.inputs.times_ns + ONSET_NS),
+        )
+        write_recording(self.folder / name, later, effort_per_A=NOMINAL_TORQUE_CONSTANT)
+        at = made.joints.column(probe.joint)
+        return {
+            "joint": probe.joint,
+            "start": dict(probe.start),
+            "current_A": probe.current_A,
+            "shake": shake,
+            "duration_s": probe.duration_s,
+            "travel_rad": float(np.ptp(made.joints.position[:, at])),
+        }
+
+
 def recorded(
     folder: Path,
     case: Case,
@@ -360,59 +420,37 @@ def recorded(
     rng = np.random.default_rng([seed, 3131])
     hidden = draw_robot(rng, EFFECTS, MATCHED)
     container = CONTAINERS[case.container]
-    load = filled(case)
     folder.mkdir(parents=True)
-
-    def write(
-        name: str,
-        probe: Probe,
-        held: Load | None,
-        shake: tuple[float, float],
-        after: float,
-    ) -> dict[str, Any]:
-        made = record(
-            hidden,
-            probe.joint,
-            probe.start,
-            probe.current_A,
-            probe.duration_s,
-            held,
-            rng,
-            shake,
-            after,
-        )
-        joints, inputs = (
-            replace(part, times_ns=part.times_ns + ONSET_NS) for part in (made.joints, made.inputs)
-        )
-        write_recording(
-            folder / name,
-            replace(made, joints=joints, inputs=inputs),
-            effort_per_A=NOMINAL_TORQUE_CONSTANT,
-        )
-        at = made.joints.column(probe.joint)
-        reached = float(np.ptp(made.joints.position[:, at]))
-        return {"joint": probe.joint, "start": dict(probe.start), "current_A": probe.current_A, "shake": shake,
-                "duration_s": probe.duration_s, "travel_rad": reached}  # fmt: skip
-
+    recorder = _Recorder(folder, hidden, rng)
     for n, probe in enumerate(EMPTY_PROBES):
-        write(f"empty_{n:02d}", probe, None, (0.0, 1.0), 0.15)
-    runs = {}
-    bare = filled(Case("nothing", case.container))
-    hz = theory_hz(container.radius, max(case.fill, 0.02))
-    for n, push in enumerate(PUSHES):
-        shake = (push.shake_A, shake_period_s(hz)) if push.shake_A else (0.0, 1.0)
-        for kind, held in (("baseline", bare), ("run", load)):
-            probe = probe_of(
-                push, hidden, filled(case, moving=False) if kind == "run" else bare, shake
-            )
-            runs[f"{kind}_{n}"] = write(f"{kind}_{n}", probe, held, shake, AFTER_S)
+        recorder.write(f"empty_{n:02d}", probe, None)
+    inside = {"radius": container.radius, "height": container.height}
     truth = {
-        "kind": case.kind, "name": case.name, "seed": seed,
-        "container": {"radius": container.radius, "height": container.height, "bottom": container.bottom, "mass": container.mass,},
-        "contents": _truth(case, rings), "runs": runs, "robot": asdict(hidden),
-    }  # fmt: skip
+        "kind": case.kind,
+        "name": case.name,
+        "seed": seed,
+        "container": {**inside, "bottom": container.bottom, "mass": container.mass},
+        "contents": _truth(case, rings),
+        "runs": _pushed(recorder, case),
+        "robot": asdict(hidden),
+    }
     (folder / "truth.json").write_text(json.dumps(truth, indent=1))
     return truth
+
+
+def _pushed(recorder: _Recorder, case: Case) -> dict[str, dict[str, Any]]:
+    """Every push with the empty container and with the filled one, and what the truth says of each."""
+    load = filled(case)
+    frozen = filled(case, moving=False)
+    bare = filled(Case("nothing", case.container))
+    hz = theory_hz(CONTAINERS[case.container].radius, max(case.fill, 0.02))
+    runs = {}
+    for n, push in enumerate(PUSHES):
+        shake = (push.shake_A, shake_period_s(hz)) if push.shake_A else (0.0, 1.0)
+        for name, rigid, held in ((f"baseline_{n}", bare, bare), (f"run_{n}", frozen, load)):
+            probe = probe_of(push, recorder.hidden, rigid, shake)
+            runs[name] = recorder.write(name, probe, held, shake, AFTER_S)
+    return runs
 
 
 def _truth(

@@ -401,14 +401,63 @@ def simulate(
     import mujoco
 
     driven = JOINTS.index(joint)
-    model = _model(
-        robot,
-        driven,
-        start.get(GRIPPER, 0.0),
-        load,
-        step_s,
-    )
+    model = _model(robot, driven, start.get(GRIPPER, 0.0), load, step_s)
     data = mujoco.MjData(model)
+    _hold(robot, model, data, start, load)
+    model.actuator_gainprm[driven, 0] = 1.0
+    model.actuator_biasprm[driven] = 0.0
+    constant = robot.torque_constant[driven]
+    data.ctrl[driven] = constant * current_A
+    mujoco.mj_forward(model, data)
+    data.qfrc_applied[driven] = extra_torque
+    drive = _Drive(current_A, *shake, SUPPLY_V if robot.back_emf else math.inf)
+    friction = _DryFriction(robot, driven, model, data)
+    driven_steps = round(duration_s / step_s)
+    steps = driven_steps + math.ceil(braked_s / step_s)
+    positions = np.empty((steps + 1, 4))
+    currents = np.zeros(steps + 1)
+    # views, looked up once: the loop is all that takes time
+    qpos = data.qpos[:4]
+    qvel = data.qvel[:4]
+    ctrl = data.ctrl
+    before = np.zeros(4)
+    for k in range(steps):
+        positions[k] = qpos
+        if k < driven_steps:
+            # the speed amid the step, or a constant over it would make the method first order
+            speed = 1.5 * qvel[driven] - 0.5 * before[driven]
+            currents[k] = drive.current_A(k * step_s, speed)
+            ctrl[driven] = constant * currents[k]
+        elif k == driven_steps:
+            _brake(robot, driven, model, data)
+        friction.update(qvel, before)
+        before[:] = qvel
+        if load is not None:
+            load.couple(model, data)
+        mujoco.mj_step(model, data)
+    positions[steps] = qpos
+    hit = _ends_touched(model, positions[: driven_steps + 1])
+    return Motion(step_s * np.arange(steps + 1, dtype=np.float64), positions, currents, hit)
+
+
+def _hold(
+    robot: HiddenRobot,
+    model: Any,
+    data: Any,
+    start: Mapping[str, float],
+    load: Load | None,
+) -> None:
+    """Every servo holds its joint at rest where its reading is that of the start.
+
+    Args:
+        robot: The robot.
+        model: Of the arm with its load.
+        data: State, which is set.
+        start: Readings [rad]; 0 where none is given.
+        load: What is in the hand, and settles.
+    """
+    import mujoco
+
     # the controller brings the readings to the start, and has found the torques that keep them there
     reading = np.array([start.get(name, 0.0) for name in JOINTS])
     data.qpos[:4] = reading
@@ -418,73 +467,85 @@ def simulate(
     held = data.qfrc_bias[:4] + (np.zeros(4) if load is None else load.settle(model, data))
     data.ctrl[:] = data.qpos[:4] + held / model.actuator_gainprm[:, 0]
 
-    model.actuator_gainprm[driven, 0] = 1.0
-    model.actuator_biasprm[driven] = 0.0
-    constant = robot.torque_constant[driven]
-    data.ctrl[driven] = constant * current_A
-    mujoco.mj_forward(model, data)
 
-    free = np.full(4, robot.compliance)
-    free[driven] = True
-    coulomb = free * robot.coulomb
-    part = free * robot.load_friction
-    rise = np.array(robot.stribeck)
-    width = np.array(robot.stribeck_velocity)
-    rubs = bool((coulomb + part).any())
-    rises = bool(rise.any())
-    reach_V = SUPPLY_V if robot.back_emf else math.inf
-    driven_steps = round(duration_s / step_s)
-    data.qfrc_applied[driven] = extra_torque
-    steps = driven_steps + math.ceil(braked_s / step_s)
-    positions = np.empty((steps + 1, 4))
-    currents = np.zeros(steps + 1)
-    # views, looked up once: the loop is all that takes time
-    step = mujoco.mj_step
-    qpos = data.qpos[:4]
-    qvel = data.qvel[:4]
-    ctrl = data.ctrl
-    friction = model.dof_frictionloss[:4]
-    torque = data.actuator_force
-    before = np.zeros(4)
-    for k in range(steps):
-        positions[k] = qpos
-        if k < driven_steps:
-            # the speed amid the step, or a constant over it would make the method first order
-            induced_V = BACK_EMF_V_S * (1.5 * qvel[driven] - 0.5 * before[driven])
-            most = (reach_V - induced_V) / RESISTANCE_OHM
-            least = (-reach_V - induced_V) / RESISTANCE_OHM
-            wanted_A = current_A + (
-                shake[0] if (k * step_s + 1e-9) % shake[1] < 0.5 * shake[1] else -shake[0]
-            )
-            currents[k] = current = min(max(wanted_A, least), most)
-            ctrl[driven] = constant * current
-        elif k == driven_steps:
-            data.qfrc_applied[driven] = 0.0
-            model.actuator_gainprm[driven, 0], model.actuator_biasprm[driven, :3] = _servo(
-                robot, driven
-            )
-            ctrl[driven] = qpos[driven] + data.qfrc_bias[driven] / model.actuator_gainprm[driven, 0]
-        if rubs:
-            np.abs(torque, out=friction)
-            friction *= part
-            friction += coulomb
-            if rises:
-                friction *= 1.0 + rise * np.exp(-(((1.5 * qvel - 0.5 * before) / width) ** 2))
-        before[:] = qvel
-        if load is not None:
-            load.couple(model, data)
-        step(model, data)
-    positions[steps] = qpos
-    probed = positions[: driven_steps + 1]
+def _brake(
+    robot: HiddenRobot,
+    driven: int,
+    model: Any,
+    data: Any,
+) -> None:
+    """The servo of the driven joint holds it from now on, where it is."""
+    data.qfrc_applied[driven] = 0.0
+    gain, bias = _servo(robot, driven)
+    model.actuator_gainprm[driven, 0] = gain
+    model.actuator_biasprm[driven, :3] = bias
+    data.ctrl[driven] = data.qpos[driven] + data.qfrc_bias[driven] / gain
+
+
+def _ends_touched(model: Any, positions: FloatArray) -> tuple[str, ...]:
+    """Names of the joints that leave their ranges, of positions (N, 4)."""
     low, high = model.jnt_range[:4].T
-    touched = ((probed < low) | (probed > high)).any(axis=0)
-    hit = tuple(name for name, touches in zip(JOINTS, touched, strict=True) if touches)
-    return Motion(
-        step_s * np.arange(steps + 1, dtype=np.float64),
-        positions,
-        currents,
-        hit,
-    )
+    touched = ((positions < low) | (positions > high)).any(axis=0)
+    return tuple(name for name, touches in zip(JOINTS, touched, strict=True) if touches)
+
+
+@dataclass(frozen=True)
+class _Drive:
+    """What flows in the motor of the driven joint.
+
+    Attributes:
+        commanded_A: By the command.
+        shake_A, period_s: Amplitude and period of a square wave about it.
+        reach_V: Of the supply; without end where it limits nothing.
+    """
+
+    commanded_A: float
+    shake_A: float
+    period_s: float
+    reach_V: float
+
+    def current_A(self, time_s: float, speed: float) -> float:
+        """At a time since the onset, and a speed of the joint [rad/s]."""
+        induced_V = BACK_EMF_V_S * speed
+        most = (self.reach_V - induced_V) / RESISTANCE_OHM
+        least = (-self.reach_V - induced_V) / RESISTANCE_OHM
+        first_half = (time_s + 1e-9) % self.period_s < 0.5 * self.period_s
+        wanted_A = self.commanded_A + (self.shake_A if first_half else -self.shake_A)
+        return min(max(wanted_A, least), most)
+
+
+class _DryFriction:
+    """Dry friction of the joints that may move, written to where MuJoCo reads it."""
+
+    def __init__(
+        self,
+        robot: HiddenRobot,
+        driven: int,
+        model: Any,
+        data: Any,
+    ) -> None:
+        free = np.full(4, robot.compliance)
+        free[driven] = True
+        self._coulomb = free * robot.coulomb
+        self._part = free * robot.load_friction
+        self._rise = np.array(robot.stribeck)
+        self._width = np.array(robot.stribeck_velocity)
+        self._rubs = bool((self._coulomb + self._part).any())
+        self._rises = bool(self._rise.any())
+        self._torque = data.actuator_force
+        self._friction = model.dof_frictionloss[:4]
+
+    def update(self, speed: FloatArray, before: FloatArray) -> None:
+        """For the next step, from the speeds now and a step ago [rad/s], (4,) each."""
+        if not self._rubs:
+            return
+        friction = self._friction
+        np.abs(self._torque, out=friction)
+        friction *= self._part
+        friction += self._coulomb
+        if self._rises:
+            amid = 1.5 * speed - 0.5 * before
+            friction *= 1.0 + self._rise * np.exp(-((amid / self._width) ** 2))
 
 
 def record(

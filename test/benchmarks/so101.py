@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +22,7 @@ import numpy as np
 from results import Results, each_answer, parser_of
 
 from proprio_ros.errors import ProprioError, RecordingError
-from proprio_ros.identification.estimate import Estimate, Verdict
+from proprio_ros.identification.estimate import Estimate, Value, Verdict
 from proprio_ros.identification.regression.recording_variability import PUBLISHED
 from proprio_ros.inputs.resources import share_directory
 from proprio_ros.pipeline.calibrate import calibrate_from_bags
@@ -40,6 +41,8 @@ STEP_S = 0.001
 COUNT_RAD = 2.0 * np.pi / 4096.0
 GAIN = 2.656
 RESISTANCE_OHM = 2.68
+GOAL_STEP_RAD = 5.215 * STEP_S
+"""How far the servo's own goal moves in a step."""
 SETTINGS: dict[str, Any] = {"payload.com": [0.0, 0.0, 0.0]}
 
 
@@ -118,82 +121,108 @@ class Arm:
         """Times, goals and positions, shapes (N,), (N, 6), (N, 6), under friction ``dry``."""
         import mujoco
 
+        model = self._model(load_kg)
+        data = mujoco.MjData(model)
+        dofs = np.array([model.joint(name).dofadr[0] for name in JOINTS])
+        model.dof_armature[dofs] = self.armature
+        model.dof_damping[dofs] = self.viscous
+        data.qpos[dofs] = goals[0]
+        way = Way(goals_at, goals)
+        goal = goals[0].copy()
+        rows: dict[str, list[Any]] = {"t": [], "goal": [], "position": []}
+        every = round(1.0 / (rate_hz * STEP_S))
+        for step in range(round(seconds / STEP_S)):
+            t = step * STEP_S
+            # goals are sent as often as they are recorded, and the servo hears them late
+            heard = way.at(max(np.floor((t - self.delay_s) * rate_hz + 1e-9) / rate_hz, 0.0))
+            goal = goal + np.clip(heard - goal, -GOAL_STEP_RAD, GOAL_STEP_RAD)
+            read = data.qpos[dofs] + self.zero_rad
+            speed = data.qvel[dofs]
+            if step % every == 0:
+                rows["t"].append(t)
+                rows["goal"].append(way.at(t))
+                rows["position"].append(_counted(read + random.normal(0.0, 3e-4, 6)))
+            model.dof_frictionloss[dofs] = self._friction(dry, speed, data.qfrc_bias[dofs])
+            data.qfrc_applied[dofs] = self._torque(goal - _counted(read), speed)
+            mujoco.mj_step(model, data)
+        return {name: np.array(values) for name, values in rows.items()}
+
+    def _model(self, load_kg: float) -> Any:
+        """The arm with a load; without drive trains."""
+        import mujoco
+
         spec = mujoco.MjSpec.from_file(str(share_directory() / "urdf" / "so101.urdf"))
         spec.compiler.fusestatic = False
-        spec.option.timestep, spec.option.integrator = (
-            STEP_S,
-            mujoco.mjtIntegrator.mjINT_IMPLICITFAST,
-        )
+        spec.option.timestep = STEP_S
+        spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
         spec.option.disableflags = int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
         if load_kg:
             payload = spec.body("grasp_link").add_body(name="payload")
-            payload.explicitinertial, payload.mass, payload.inertia = (
-                True,
-                load_kg,
-                [load_kg * 0.03**2 / 6.0] * 3,
-            )
+            payload.explicitinertial = True
+            payload.mass = load_kg
+            payload.inertia = [load_kg * 0.03**2 / 6.0] * 3
         # else MuJoCo's dry friction is soft, and a joint creeps until it carries nothing
         if self.sticks:
             spec.option.tolerance = 1e-14
             for name in JOINTS:
                 joint = spec.joint(name)
-                joint.solref_friction, joint.solimp_friction = (
-                    (0.002, 1.0),
-                    (0.9999, 0.9999, 0.001, 0.5, 2.0),
-                )
-        model = spec.compile()
-        data = mujoco.MjData(model)
-        dofs = np.array([model.joint(name).dofadr[0] for name in JOINTS])
-        model.dof_armature[dofs], model.dof_damping[dofs] = self.armature, self.viscous
-        data.qpos[dofs] = goals[0]
-        heard = moved = goals[0].copy()
-        rows: dict[str, list[Any]] = {"t": [], "goal": [], "position": []}
-        every = round(1.0 / (rate_hz * STEP_S))
+                joint.solref_friction = (0.002, 1.0)
+                joint.solimp_friction = (0.9999, 0.9999, 0.001, 0.5, 2.0)
+        return spec.compile()
 
-        def goal_at(t: float) -> np.ndarray:
-            """Smooth ways between the poses."""
-            k = min(
-                int(np.searchsorted(goals_at, t, side="right")) - 1,
-                len(goals) - 2,
-            )
-            share = np.clip(
-                (t - goals_at[k]) / (goals_at[k + 1] - goals_at[k]),
-                0.0,
-                1.0,
-            )
-            return goals[k] + (goals[k + 1] - goals[k]) * (
-                10 * share**3 - 15 * share**4 + 6 * share**5
-            )
+    def _torque(self, distance: np.ndarray, speed: np.ndarray) -> np.ndarray:
+        """What the motors give [N m], at that distance from their goals [rad] and that speed [rad/s], (6,) each."""
+        if self.dead_band_rad:
+            beyond = np.maximum(np.abs(distance) - self.dead_band_rad, 0.0)
+            distance = np.sign(distance) * beyond
+        duty = np.clip(self.gain * distance, -0.97, 0.97)
+        current = (self.supply_V * duty - self.torque_constant * speed) / RESISTANCE_OHM
+        torque: np.ndarray = self.share * self.torque_constant * current + self.offset
+        return torque
 
-        for step in range(round(seconds / STEP_S)):
-            t = step * STEP_S
-            # goals are sent as often as they are recorded, and the servo hears them late
-            heard = goal_at(max(np.floor((t - self.delay_s) * rate_hz + 1e-9) / rate_hz, 0.0))
-            moved = moved + np.clip(heard - moved, -5.215 * STEP_S, 5.215 * STEP_S)
-            angle = data.qpos[dofs]
-            speed = data.qvel[dofs]
-            read = angle + self.zero_rad
-            distance = moved - np.round(read / COUNT_RAD) * COUNT_RAD
-            if self.dead_band_rad:
-                distance = np.sign(distance) * np.maximum(
-                    np.abs(distance) - self.dead_band_rad, 0.0
-                )
-            duty = np.clip(self.gain * distance, -0.97, 0.97)
-            current = (self.supply_V * duty - self.torque_constant * speed) / RESISTANCE_OHM
-            if step % every == 0:
-                rows["t"].append(t)
-                rows["goal"].append(goal_at(t))
-                rows["position"].append(
-                    np.round((read + random.normal(0.0, 3e-4, 6)) / COUNT_RAD) * COUNT_RAD
-                )
-            torque = self.share * self.torque_constant * current + self.offset
-            friction = dry + self.lost * np.abs(data.qfrc_bias[dofs])
-            model.dof_frictionloss[dofs] = friction * (
-                1.0 + self.sticks * np.exp(-((speed / 0.05) ** 2))
-            )
-            data.qfrc_applied[dofs] = torque
-            mujoco.mj_step(model, data)
-        return {name: np.array(values) for name, values in rows.items()}
+    def _friction(
+        self,
+        dry: np.ndarray,
+        speed: np.ndarray,
+        carried: np.ndarray,
+    ) -> np.ndarray:
+        """Dry friction [N m], (6,).
+
+        Args:
+            dry: Without load [N m], (6,).
+            speed: Of the joints [rad/s], (6,).
+            carried: Torque of gravity and motion [N m], (6,).
+        """
+        friction = dry + self.lost * np.abs(carried)
+        result: np.ndarray = friction * (1.0 + self.sticks * np.exp(-((speed / 0.05) ** 2)))
+        return result
+
+
+@dataclass(frozen=True)
+class Way:
+    """Poses that an arm goes to, one after the other.
+
+    Attributes:
+        at_s: When it is in each [s].
+        poses: [rad], (6,) each.
+    """
+
+    at_s: Sequence[float]
+    poses: Sequence[np.ndarray]
+
+    def at(self, t: float) -> np.ndarray:
+        """The goal at a time [s], on a smooth way from pose to pose, (6,)."""
+        begun = int(np.searchsorted(self.at_s, t, side="right")) - 1
+        k = min(begun, len(self.poses) - 2)
+        share = np.clip((t - self.at_s[k]) / (self.at_s[k + 1] - self.at_s[k]), 0.0, 1.0)
+        smooth = 10 * share**3 - 15 * share**4 + 6 * share**5
+        return self.poses[k] + (self.poses[k + 1] - self.poses[k]) * smooth
+
+
+def _counted(angle: np.ndarray) -> np.ndarray:
+    """In whole counts of the encoder [rad]."""
+    result: np.ndarray = np.round(angle / COUNT_RAD) * COUNT_RAD
+    return result
 
 
 def write(
@@ -276,6 +305,31 @@ def weighed(
         ]
 
 
+@dataclass(frozen=True)
+class Weighing:
+    """An accepted answer.
+
+    Attributes:
+        off: Value less truth [kg].
+        half: The larger half of its interval [kg].
+        holds: Whether the truth is in it.
+        pull: Error over standard deviation.
+    """
+
+    off: float
+    half: float
+    holds: bool
+    pull: float
+
+    @classmethod
+    def of(cls, mass: Value, kg: float) -> Weighing:
+        assert mass.value is not None
+        low, high = mass.ci95
+        off = mass.value - kg
+        half = max(high - mass.value, mass.value - low)
+        return cls(off, half, low <= kg <= high, off / mass.std)
+
+
 def main(arguments: Sequence[str] | None = None) -> None:
     parser = parser_of(__doc__)
     parser.add_argument("--arms", type=int, default=10)
@@ -285,7 +339,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--differ", action="store_true", help="recordings do, as was published")
     options = parser.parse_args(arguments)
     results = Results(__file__, options.json, arguments)
-    answers: dict[float, list[tuple[float, float, bool, float]]] = {kg: [] for kg in ASKED_KG}
+    answers: dict[float, list[Weighing]] = {kg: [] for kg in ASKED_KG}
     for seed in range(options.first, options.first + options.arms):
         try:
             found = weighed(seed, options.rate, options.seconds, differ=options.differ)
@@ -293,21 +347,29 @@ def main(arguments: Sequence[str] | None = None) -> None:
             print(f"arm {seed}: {error}")
             continue
         for kg, estimate in found:
-            mass = estimate.values[0]
-            words = "; ".join(map(str, estimate.reasons))
             if estimate.verdict is Verdict.ACCEPTED:
-                low, high = mass.ci95
-                words = f"{mass.value * 1e3:.1f} g ({low * 1e3:.1f} to {high * 1e3:.1f})"
-                off = mass.value - kg
-                answers[kg].append(
-                    (
-                        off,
-                        max(high - mass.value, mass.value - low),
-                        low <= kg <= high,
-                        off / mass.std,
-                    )
-                )
-            print(f"arm {seed}, {kg * 1e3:.0f} g: {estimate.verdict.value}, {words}"[:200])
+                answers[kg].append(Weighing.of(estimate.values[0], kg))
+            said = f"{estimate.verdict.value}, {_words(estimate)}"
+            print(f"arm {seed}, {kg * 1e3:.0f} g: {said}"[:200])
+    _tell(results, answers, options.arms)
+    results.keep()
+
+
+def _words(estimate: Estimate) -> str:
+    """The mass, or why it was not accepted."""
+    if estimate.verdict is not Verdict.ACCEPTED:
+        return "; ".join(map(str, estimate.reasons))
+    mass = estimate.values[0]
+    low, high = mass.ci95
+    return f"{mass.value * 1e3:.1f} g ({low * 1e3:.1f} to {high * 1e3:.1f})"
+
+
+def _tell(
+    results: Results,
+    answers: dict[float, list[Weighing]],
+    arms: int,
+) -> None:
+    """A row for each mass [kg] that was asked of so many arms, and one for all of them."""
     results.table(
         "so101",
         {
@@ -319,22 +381,29 @@ def main(arguments: Sequence[str] | None = None) -> None:
             "farthest, in sd": "{farthest:.1f}",
         },
     )
-    for name, kgs in (
-        *((f"{1e3 * kg:.0f} g" if kg else "nothing", (kg,)) for kg in ASKED_KG),
-        ("all", ASKED_KG),
-    ):
-        of = np.array(
-            [answer for kg in kgs for answer in answers[kg]],
-            dtype=float,
-        )
-        if len(of):
-            off, half, holds, pull = of.T
-            results.row(
-                "so101", held=name, answered=len(of), asked=options.arms * len(kgs), rms=1e3 * np.sqrt(np.mean(off**2)),
-                worst=1e3 * np.abs(off).max(), half=1e3 * np.median(half), hold=int(holds.sum()), farthest=np.abs(pull).max(),
-                **each_answer(1e3 * off, 1e3 * half),
-            )  # fmt: skip
-    results.keep()
+    for kg in ASKED_KG:
+        if answers[kg]:
+            name = f"{1e3 * kg:.0f} g" if kg else "nothing"
+            results.row("so101", held=name, **_figures(answers[kg], arms))
+    whole = [answer for kg in ASKED_KG for answer in answers[kg]]
+    if whole:
+        results.row("so101", held="all", **_figures(whole, arms * len(ASKED_KG)))
+
+
+def _figures(answers: Sequence[Weighing], asked: int) -> dict[str, Any]:
+    """Numbers of a row of so many questions."""
+    off_g = 1e3 * np.array([answer.off for answer in answers])
+    half_g = 1e3 * np.array([answer.half for answer in answers])
+    return {
+        "answered": len(answers),
+        "asked": asked,
+        "rms": np.sqrt(np.mean(off_g**2)),
+        "worst": np.abs(off_g).max(),
+        "half": np.median(half_g),
+        "hold": sum(answer.holds for answer in answers),
+        "farthest": max(abs(answer.pull) for answer in answers),
+        **each_answer(off_g, half_g),
+    }
 
 
 if __name__ == "__main__":

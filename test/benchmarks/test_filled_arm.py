@@ -14,7 +14,7 @@ if shutil.which("gcc") is None:
     pytest.skip("needs gcc", allow_module_level=True)
 
 from filled_arm import CONTAINERS, EXCHANGE_S, PUSHES, Case, Filled, filled, probe_of
-from random_arm import JOINTS, STEP_S, HiddenRobot, simulate
+from random_arm import JOINTS, STEP_S, HiddenRobot, Probe, simulate
 from support.contents import Cylinder, Grains, Liquid, library, sloshing, theory_hz
 
 from proprio_ros.addons.contents.models import Slosh
@@ -128,6 +128,121 @@ def test_contents_weigh_what_they_weigh_and_follow_their_container() -> None:
     assert held == pytest.approx(-1.0, abs=0.03)  # grains that do not slide are carried along
 
 
+REACH_M = 0.152
+LOW_M = -0.149
+"""From the joint to the bottom of the container, along it and along its axis."""
+JOINT_KG_M2 = 0.03
+SPRING_N_M = 1.0
+LOSS_N_M_S = 0.1
+TURNS_STEP_S = 0.002
+
+
+class Turned:
+    """A joint on a spring that turns a liquid; what the liquid does beside its frozen self acts a step late, carried on linearly.
+
+    Args:
+        liquid: At rest.
+        moving: Whether it sloshes; else it stays frozen.
+    """
+
+    def __init__(self, liquid: Liquid, moving: bool) -> None:
+        centre, about = liquid.moments()
+        self.liquid = liquid
+        self.moving = moving
+        self.place = centre + np.array([REACH_M, 0.0, LOW_M])
+        steiner = liquid.kg * (self.place @ self.place - centre @ centre)
+        self.inertia = JOINT_KG_M2 + about[1, 1] + steiner
+        self.q = 0.0
+        self.v = 0.0
+        self.told = [0.0, 0.0]
+
+    def weight(self, q: float) -> float:
+        """Torque of the frozen liquid's weight [N m]."""
+        lever = self.place[0] * np.cos(q) + self.place[2] * np.sin(q)
+        return float(self.liquid.kg * 9.81 * lever)
+
+    def acceleration(
+        self,
+        pull: float,
+        q: float,
+        v: float,
+    ) -> float:
+        """Under a torque [N m], at an angle and a speed [rad/s^2]."""
+        level = self.liquid.kg * 9.81 * REACH_M
+        rest = self.weight(q) - level + 2.0 * self.told[1] - self.told[0]
+        return float(pull - SPRING_N_M * np.sin(q) - LOSS_N_M_S * v + rest) / self.inertia
+
+    def step(self, pull: float) -> None:
+        """Moves on by the midpoint rule under a torque [N m]."""
+        middle = self.q + 0.5 * TURNS_STEP_S * self.v
+        fast = self.v + 0.5 * TURNS_STEP_S * self.acceleration(pull, self.q, self.v)
+        a = self.acceleration(pull, middle, fast)
+        self.q = self.q + TURNS_STEP_S * fast
+        self.v = self.v + TURNS_STEP_S * a
+        if self.moving:
+            self.told = [self.told[1], self._beside_frozen(middle, fast, a)]
+
+    def _beside_frozen(
+        self,
+        q: float,
+        v: float,
+        a: float,
+    ) -> float:
+        """Torque of the liquid less that of the frozen one [N m], at an angle, a speed and an acceleration."""
+        gravity = 9.81 * np.array([np.sin(q), 0.0, -np.cos(q)])
+        drag = np.array([a * LOW_M - v**2 * REACH_M, 0.0, -a * REACH_M - v**2 * LOW_M])
+        angular = np.array([0.0, a, 0.0])
+        turning = np.array([0.0, v, 0.0])
+        wrench = self.liquid.step(gravity, drag, angular, turning, TURNS_STEP_S)
+        frozen = self.weight(q) - a * (self.inertia - JOINT_KG_M2)
+        return float(wrench[4] + LOW_M * wrench[0] - REACH_M * wrench[2] - frozen)
+
+
+def angles_under(torque: np.ndarray, turned: Turned) -> np.ndarray:
+    """Before each step under these torques [N m], shape (T,)."""
+    angles = []
+    for pull in torque:
+        angles.append(turned.q)
+        turned.step(pull)
+    return np.array(angles)
+
+
+def slosh_parameters(
+    radius: float,
+    fill: float,
+    damping: float,
+) -> np.ndarray:
+    """Parameters of the law by theory, shape (1, P).
+
+    Args:
+        radius: Of the container [m].
+        fill: Of the water [m].
+        damping: Ratio of the first wave.
+    """
+    slosh = Slosh.of(radius, np.array(fill))
+    kg = 1000.0 * np.pi * radius**2 * fill
+    still_kg = kg * (1.0 - float(slosh.share))
+    up = LOW_M + float((0.5 * fill - slosh.share * slosh.height) / (1.0 - slosh.share))
+    own = 0.6 * kg * (radius**2 / 4.0 + fill**2 / 12.0)
+    values = {
+        "inertia": JOINT_KG_M2 + still_kg * (REACH_M**2 + up**2) + own,
+        "torque_constant": 1.0,
+        "viscous": LOSS_N_M_S,
+        "gravity_constant": 9.81 * kg * REACH_M,
+        "gravity_cos": -9.81 * still_kg * REACH_M,
+        "gravity_sin": SPRING_N_M - 9.81 * still_kg * up,
+        "slosh_mass": kg * float(slosh.share),
+        "slosh_height": slosh.height,
+        "slosh_stiffness": slosh.stiffness,
+        "slosh_damping": 2.0 * damping * np.sqrt(slosh.stiffness),
+        "settled": 1.0,
+    }
+    p = np.zeros((1, len(SLOSH_PARAMETERS)))
+    for name, value in values.items():
+        p[0, SLOSH_PARAMETERS.index(name)] = value
+    return p
+
+
 @pytest.mark.long
 @pytest.mark.parametrize(
     ("radius", "fill", "viscosity"),
@@ -137,82 +252,20 @@ def test_the_law_turns_a_joint_as_the_particles_do(
     radius: float, fill: float, viscosity: float
 ) -> None:
     """By theory, nothing fitted: tilted by 0.2 rad, shaken, 0.15 m beside the joint. A mass on a rail is 20 to 70 % off."""
-    reach = 0.152
-    low = -0.149
-    joint = 0.03
-    spring = 1.0
-    loss = 0.1
     cylinder = Cylinder(radius, 0.1)
-    step_s = 0.002
-    times_s = step_s * np.arange(750)
+    times_s = TURNS_STEP_S * np.arange(750)
     torque = -0.2 + 0.24 * np.where(times_s % 0.22 < 0.11, 1.0, -1.0)
-    _, damping = sloshing(cylinder, fill, viscosity, 20, step_s)
-
-    def turned(moving: bool) -> np.ndarray:
-        liquid = Liquid(cylinder, fill, viscosity, 20)
-        centre, about = liquid.moments()
-        place = centre + np.array([reach, 0.0, low])
-        inertia = joint + about[1, 1] + liquid.kg * (place @ place - centre @ centre)
-        q = 0.0
-        v = 0.0
-        angles = []
-        more = [0.0, 0.0]
-
-        def weight(q: float) -> float:
-            return float(liquid.kg * 9.81 * (place[0] * np.cos(q) + place[2] * np.sin(q)))
-
-        def speeding(pull: float, q: float, v: float) -> float:
-            rest = weight(q) - liquid.kg * 9.81 * reach + 2.0 * more[1] - more[0]
-            return float(pull - spring * np.sin(q) - loss * v + rest) / inertia
-
-        for pull in torque:
-            angles.append(q)
-            middle = q + 0.5 * step_s * v
-            fast = v + 0.5 * step_s * speeding(pull, q, v)
-            a = speeding(pull, middle, fast)
-            q = q + step_s * fast
-            v = v + step_s * a
-            if moving:
-                gravity = 9.81 * np.array([np.sin(middle), 0.0, -np.cos(middle)])
-                drag = np.array([a * low - fast**2 * reach, 0.0, -a * reach - fast**2 * low])
-                force = liquid.step(
-                    gravity, drag, np.array([0.0, a, 0.0]), np.array([0.0, fast, 0.0]), step_s
-                )
-                free = weight(middle) - a * (inertia - joint)
-                more = [
-                    more[1],
-                    force[4] + low * force[0] - reach * force[2] - free,
-                ]
-        return np.array(angles)
-
-    slosh = Slosh.of(radius, np.array(fill))
-    kg = 1000.0 * np.pi * radius**2 * fill
-    moving_kg = kg * float(slosh.share)
-    still_kg = kg * (1.0 - float(slosh.share))
-    up = low + float((0.5 * fill - slosh.share * slosh.height) / (1.0 - slosh.share))
-    p = np.zeros((1, len(SLOSH_PARAMETERS)))
-    for name, value in {
-        "inertia": joint + still_kg * (reach**2 + up**2) + 0.6 * kg * (radius**2 / 4.0 + fill**2 / 12.0), "torque_constant": 1.0,
-        "viscous": loss, "gravity_constant": 9.81 * kg * reach, "gravity_cos": -9.81 * still_kg * reach,
-        "gravity_sin": spring - 9.81 * still_kg * up, "slosh_mass": moving_kg, "slosh_height": slosh.height,
-        "slosh_stiffness": slosh.stiffness, "slosh_damping": 2.0 * damping * np.sqrt(slosh.stiffness), "settled": 1.0,
-    }.items():  # fmt: skip
-        p[0, SLOSH_PARAMETERS.index(name)] = value
-    run = JointRun(times_s, times_s, torque, friction_velocity=1e-2, step_s=step_s)
-    law = SloshSimulator(
-        [
-            SloshRun(
-                run,
-                reach,
-                low,
-                np.array([0.0, 0.0, 9.81]),
-                np.array([0.0, -9.81, 0.0]),
-            )
-        ]
-    )
+    _, damping = sloshing(cylinder, fill, viscosity, 20, TURNS_STEP_S)
+    run = JointRun(times_s, times_s, torque, friction_velocity=1e-2, step_s=TURNS_STEP_S)
+    by_cos = np.array([0.0, 0.0, 9.81])
+    by_sin = np.array([0.0, -9.81, 0.0])
+    law = SloshSimulator([SloshRun(run, REACH_M, LOW_M, by_cos, by_sin)])
+    p = slosh_parameters(radius, fill, damping)
     shown = law.rollout(np.zeros(1, dtype=np.int32), p)[0][0]
-    real = turned(True)
-    frozen = turned(False)
+    real, frozen = (
+        angles_under(torque, Turned(Liquid(cylinder, fill, viscosity, 20), moving))
+        for moving in (True, False)
+    )
     assert np.std(frozen - real) > 5e-4
     assert np.std(shown - real) < 0.2 * np.std(frozen - real)
 
@@ -315,11 +368,8 @@ def test_a_shake_switches_when_its_command_says(period_s: float) -> None:
     )
 
 
-@pytest.mark.long
-def test_an_arm_feels_what_moves_in_its_hand_as_if_it_were_one_system() -> None:
-    """A bob on a spring, a quarter of the load, coupled step by step and solved by MuJoCo as one; frozen, it moves otherwise."""
-    empty = filled(Case("nothing", 1))
-    bob = Bob()
+def frozen_together(empty: Filled, bob: Bob) -> Filled:
+    """A container and the bob in it, as one rigid load."""
     kg = empty.mass + bob.kg
     centre = empty.bottom + np.array([0.0, 0.0, bob.height])
     both = (empty.mass * np.array(empty.offset) + bob.kg * centre) / kg
@@ -327,31 +377,31 @@ def test_an_arm_feels_what_moves_in_its_hand_as_if_it_were_one_system() -> None:
     for mass, place in ((empty.mass, np.array(empty.offset)), (bob.kg, centre)):
         d = place - both
         about = about + mass * (d @ d * np.eye(3) - np.outer(d, d))
-    six = (
-        *(float(about[n, n]) for n in range(3)),
-        float(about[0, 1]),
-        float(about[0, 2]),
-        float(about[1, 2]),
-    )
-    frozen = Filled(
-        kg,
-        tuple(both.tolist()),
-        six,
-        empty.bottom,
-        None,
-        (bob.kg, *bob.moments()),
-    )
+    xx, yy, zz = (float(about[n, n]) for n in range(3))
+    six = (xx, yy, zz, float(about[0, 1]), float(about[0, 2]), float(about[1, 2]))
+    inner = (bob.kg, *bob.moments())
+    return Filled(kg, tuple(both.tolist()), six, empty.bottom, None, inner)
+
+
+@pytest.mark.long
+def test_an_arm_feels_what_moves_in_its_hand_as_if_it_were_one_system() -> None:
+    """A bob on a spring, a quarter of the load, coupled step by step and solved by MuJoCo as one; frozen, it moves otherwise."""
+    empty = filled(Case("nothing", 1))
+    frozen = frozen_together(empty, Bob())
+    one = InMujoco(empty.mass, empty.offset, empty.inertia, empty.bottom)
+    coupled = replace(frozen, pour=lambda tilt: Bob())
     hidden = HiddenRobot(
         coulomb=(0.02,) * 4, viscous=(0.01,) * 4, armature=(0.005,) * 4, compliance=True
     )
     for push in PUSHES[2:]:
         probe = probe_of(push, hidden, frozen)
-        loads = (
-            InMujoco(empty.mass, empty.offset, empty.inertia, empty.bottom,), replace(frozen, pour=lambda tilt: Bob()), frozen
-        )  # fmt: skip
         shake = (push.shake_A, 0.25) if push.shake_A else (0.0, 1.0)
-        one, coupled, still = (
-            simulate(
+
+        def driven(
+            load: Filled, probe: Probe = probe, shake: tuple[float, float] = shake
+        ) -> np.ndarray:
+            """Angles of the driven joint up to when it is caught: what each weighs then is no part of the push."""
+            made = simulate(
                 hidden,
                 probe.joint,
                 probe.start,
@@ -359,10 +409,12 @@ def test_an_arm_feels_what_moves_in_its_hand_as_if_it_were_one_system() -> None:
                 probe.duration_s,
                 load,
                 shake=shake,
-            ).position[:, JOINTS.index(probe.joint)]
-            for load in loads
-        )
-        # when it is caught, each is caught where its own weight is held: that is no part of the push
-        driven = slice(round(probe.duration_s / STEP_S))
-        assert np.abs((coupled - one)[driven]).max() < 0.02 * np.abs((still - one)[driven]).max()
+            )
+            steps = round(probe.duration_s / STEP_S)
+            return made.position[:steps, JOINTS.index(probe.joint)]
+
+        truth = driven(one)
+        off = np.abs(driven(coupled) - truth).max()
+        off_frozen = np.abs(driven(frozen) - truth).max()
+        assert off < 0.02 * off_frozen
     assert CONTAINERS[1].mass == empty.mass

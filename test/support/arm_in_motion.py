@@ -348,6 +348,44 @@ class Heard:
         )
 
 
+class _Motors:
+    """Motors that follow goals by computed torque, late.
+
+    Args:
+        model: Of the arm.
+        data: Its state.
+        viscous: Friction that they make up for [N m s/rad], (n,).
+        delay: From a goal to the torque [steps].
+    """
+
+    def __init__(
+        self,
+        model: Any,
+        data: Any,
+        viscous: np.ndarray,
+        delay: int,
+    ) -> None:
+        count = len(viscous)
+        self._model = model
+        self._data = data
+        self._viscous = viscous
+        self._inertia = np.zeros((count, count))
+        self._on_the_way = [np.zeros(count)] * (delay + 1)
+
+    def torque(
+        self, goal: tuple[np.ndarray, np.ndarray, np.ndarray], measured: np.ndarray
+    ) -> np.ndarray:
+        """What they give in the next step [N m], (n,), for angles, speeds and accelerations, of the angles that are measured."""
+        data = self._data
+        angles, speeds, accelerations = goal
+        inertia_matrix(self._model, data, self._inertia)
+        slower = speeds - data.qvel
+        pushed = accelerations + 225.0 * (angles - measured) + 30.0 * slower
+        wanted = self._inertia @ pushed + data.qfrc_bias + self._viscous * speeds
+        self._on_the_way.append(wanted)
+        return self._on_the_way.pop(0)
+
+
 @dataclass
 class Twin:
     """One arm as it really is, drawn at random; `truths` keeps what its motions really were, by name.
@@ -467,23 +505,18 @@ class Twin:
         model = self._model(payload, moments)
         data = mujoco.MjData(model)
         rng = self.rng
-        count = len(self.build.axes)
         way = Way.draw(rng, self.build)
         usual = self._usual()
         own = differs or usual
         viscous = self.viscous * (1.0 if differs is None else own.friction)
         way = way.of(own)
         data.qpos[:], data.qvel[:], _ = next(way.steps(1))
-        queue = [np.zeros(count)] * (self.delay + 1)
+        motors = _Motors(model, data, viscous, self.delay)
         heard = Heard(own, np.array(self.build.constants) * self.torque)
-        full = np.zeros((count, count))
         mujoco.mj_forward(model, data)
-        for step, (q, qd, qdd) in enumerate(way.steps(round((seconds + 1.0) / STEP_S))):
-            inertia_matrix(model, data, full)
-            measured = data.qpos + 1e-4 * rng.standard_normal(count)
-            pushed = qdd + 225.0 * (q - measured) + 30.0 * (qd - data.qvel)
-            queue.append(full @ pushed + data.qfrc_bias + viscous * qd)
-            torque = queue.pop(0)
+        for step, goal in enumerate(way.steps(round((seconds + 1.0) / STEP_S))):
+            measured = data.qpos + 1e-4 * rng.standard_normal(len(data.qpos))
+            torque = motors.torque(goal, measured)
             data.qfrc_applied[:] = self._arrives(
                 torque, data.qpos, data.qvel, viscous, own.friction
             )

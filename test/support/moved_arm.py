@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -122,6 +122,36 @@ class _Moved:
     dofs: np.ndarray
     inertia: np.ndarray
 
+    @classmethod
+    def of(cls, model: Any, joints: Iterable[str]) -> _Moved:
+        """At rest, with those joints driven."""
+        import mujoco
+
+        dofs = np.array([model.joint(name).dofadr[0] for name in joints])
+        return cls(model, mujoco.MjData(model), dofs, np.zeros((model.nv, model.nv)))
+
+    def draw_drive_trains(
+        self,
+        robot: np.random.Generator,
+        rotor_kg_m2: float,
+        friction_N_m: float,
+        today: np.ndarray,
+    ) -> None:
+        """Rotors, viscous and dry friction of the driven joints.
+
+        Args:
+            robot: Draws them.
+            rotor_kg_m2: About which rotors are drawn.
+            friction_N_m: About which friction is drawn.
+            today: Dry friction of this motion over the arm's, (n,).
+        """
+        count = len(self.dofs)
+        model = self.model
+        model.dof_armature[self.dofs] = rotor_kg_m2 * robot.uniform(0.5, 1.5, count)
+        model.dof_damping[self.dofs] = friction_N_m * robot.uniform(0.2, 1.0, count)
+        dry = friction_N_m * robot.uniform(0.5, 1.5, count)
+        model.dof_frictionloss[self.dofs] = dry * today
+
     def torque_to(
         self, goal: np.ndarray, speed: np.ndarray, acceleration: np.ndarray
     ) -> np.ndarray:
@@ -176,21 +206,14 @@ def record_arm(
         friction_N_m, rotor_kg_m2: About which the joints' are drawn.
         torque_noise: Of the sensor [N m], standard deviation.
     """
-    import mujoco
-
     robot = np.random.default_rng(robot_seed)
     random = np.random.default_rng(seed)
     count = len(constants)
-    model = _model_of(urdf, list(constants), hand, load_kg, robot)
-    dofs = np.array([model.joint(name).dofadr[0] for name in constants])
-    arm = _Moved(model, mujoco.MjData(model), dofs, np.zeros((model.nv, model.nv)))
-    model.dof_armature[dofs] = rotor_kg_m2 * robot.uniform(0.5, 1.5, count)
-    model.dof_damping[dofs] = friction_N_m * robot.uniform(0.2, 1.0, count)
-    model.dof_frictionloss[dofs] = (
-        friction_N_m * robot.uniform(0.5, 1.5, count) * random.normal(1.0, 0.03, count)
-    )
+    arm = _Moved.of(_model_of(urdf, list(constants), hand, load_kg, robot), constants)
+    arm.draw_drive_trains(robot, rotor_kg_m2, friction_N_m, random.normal(1.0, 0.03, count))
     goals = Goals.draw(random, np.zeros(count) if middle is None else np.array(middle))
     data = arm.data
+    dofs = arm.dofs
     data.qpos[dofs], data.qvel[dofs], _ = goals.at(0.0)
     per_effort = np.array(list(constants.values()))
     states = JointStates(list(constants))
