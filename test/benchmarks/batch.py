@@ -83,18 +83,14 @@ def make(
     (folder / "lerobot_any.yaml").write_text(
         "title: rad and N m\neffort_unit: N.m\ncolumns: {position_unit: rad}\n"
     )
-    arm = Arm(3)
-    robot = write_robot(folder, build=FOUR)
-    empty = [write_bag(folder / f"empty_{n}", arm.record(10**6 + n, 20.0)) for n in range(3)]
-    plain = Options(robot=str(robot), effort_unit="N.m")
-    calibrate_from_bags(empty, {}, plain, folder / "arm.yaml", lambda words: None)
+    _calibrate(folder)
     masses = [float(mass) for mass in np.random.default_rng(1).choice(MASSES_KG, count)]
     edges = [round(count * n / jobs) for n in range(jobs + 1)]
+    shares = [
+        (folder, f"set_{n}", first, masses[first:end], seconds)
+        for n, (first, end) in enumerate(pairwise(edges))
+    ]
     with ProcessPoolExecutor(jobs, mp_context=multiprocessing.get_context("spawn")) as pool:
-        shares = [
-            (folder, f"set_{n}", a, masses[a:b], seconds)
-            for n, (a, b) in enumerate(pairwise(edges))
-        ]
         truth = [row for rows in pool.map(make_share, *zip(*shares, strict=True)) for row in rows]
     bags = [Path(path) for path, _ in truth if "#" not in path]
     cut_short(bags[: max(2, BROKEN * count // 10_000)])
@@ -104,6 +100,15 @@ def make(
     print(
         f"{count} episodes of {seconds:g} s: {len(bags)} bags, {others} in {jobs} LeRobot v3 data sets"
     )
+
+
+def _calibrate(folder: Path) -> None:
+    """Write the arm's robot file, three recordings of its empty hand, and the calibration by them."""
+    arm = Arm(3)
+    robot = write_robot(folder, build=FOUR)
+    empty = [write_bag(folder / f"empty_{n}", arm.record(10**6 + n, 20.0)) for n in range(3)]
+    plain = Options(robot=str(robot), effort_unit="N.m")
+    calibrate_from_bags(empty, {}, plain, folder / "arm.yaml", lambda words: None)
 
 
 def cut_short(bags: Sequence[Path]) -> None:

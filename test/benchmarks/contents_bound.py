@@ -243,24 +243,36 @@ def bound(
         "liquid",
     )
     values = truth_of(problem, kg, fill, facts)
+    std = standard_deviations(problem, values)
+    hz = float(np.sqrt(Slosh.of(radius, np.array(fill)).stiffness)) / (2.0 * np.pi)
+    factor = float(np.exp(min(std["slosh_damping_log"], 20.0)))
+    return {
+        "arm": arm.name,
+        "radius_mm": 1e3 * radius,
+        "g": 1e3 * kg,
+        "fill_mm": 1e3 * fill,
+        "hz": hz,
+        "mass_std_g": 1e3 * std["contents_mass"],
+        "fill_std_mm": fill * std["contents_density"],
+        "hz_std": hz * std["slosh_tuning"],
+        "damping": f"{factor:.1f}" if factor < 20.0 else "-",
+        "nats": short_of(problem, values, "rigid"),
+    }
+
+
+def standard_deviations(problem: ContentsProblem, values: np.ndarray) -> dict[str, float]:
+    """Of the contents' unknowns by their names, in the problem's units, where next to nothing is known before."""
     found = Posterior(problem, values)
     names = ("contents_density", "slosh_tuning", "slosh_damping_log")
-    places = [problem.column_of(name) for name in names]
     loose = problem.coordinates.prior_precision.copy()
-    for place in places:
-        loose[place, place] *= 1e-4  # a hundred times as wide: next to nothing is known before
+    for name in names:
+        place = problem.column_of(name)
+        loose[place, place] *= 1e-4  # a hundred times as wide
     information = found.sensitivity.T @ found.sensitivity + loose
     scale = 1.0 / np.sqrt(np.diag(information))
     covariance = np.linalg.inv(information * scale[:, None] * scale) * scale[:, None] * scale
-    density, tuning, damping = (float(np.sqrt(covariance[place, place])) for place in places)
-    hz = float(np.sqrt(Slosh.of(radius, np.array(fill)).stiffness)) / (2.0 * np.pi)
-    mass = problem.column_of("contents_mass")
-    factor = float(np.exp(min(damping, 20.0)))
-    return {
-        "arm": arm.name, "radius_mm": 1e3 * radius, "g": 1e3 * kg, "fill_mm": 1e3 * fill, "hz": hz,
-        "mass_std_g": 1e3 * float(np.sqrt(covariance[mass, mass])), "fill_std_mm": fill * density, "hz_std": hz * tuning,
-        "damping": f"{factor:.1f}" if factor < 20.0 else "-", "nats": short_of(problem, values, "rigid"),
-    }  # fmt: skip
+    std = np.sqrt(np.diag(covariance))
+    return {name: float(std[problem.column_of(name)]) for name in (*names, "contents_mass")}
 
 
 def short_of(

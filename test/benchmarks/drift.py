@@ -166,23 +166,58 @@ def one_robot(job: Job) -> Drifted:
         return Drifted([], 0.0, 0, "not calibrated")
     warmer_K = rng.standard_normal(4) * job.warm_K
     stale, old = aged_after(fresh, job.hours, warmer_K)
-    stated = stale.drift
-    truth = AgeingRates(**{name: job.times * value for name, value in vars(stated).items()})
+    truth = AgeingRates(**{name: job.times * value for name, value in vars(stale.drift).items()})
     later = drifted(hidden, truth, job.hours, warmer_K.tolist(), rng)
-    sequence = load_sequence("empty_hand", fresh)
-    bench = Bench(later, sequence, rng)
-    pushes, _, _ = chosen_refresh(stale, old, REFRESH_S, sequence)
-    runs = [LoadedRun(run) for probe in pushes for run in bench.push(probe, None)]
-    refreshed, said = after_refresh(old, runs)
+    taken = taken_refresh(stale, old, later, rng)
     robots = {STALE: stale, AGED: old}
-    if refreshed is not None:
-        robots[REFRESHED] = refreshed
+    if taken.robot is not None:
+        robots[REFRESHED] = taken.robot
+    said = taken.said
     cases = weighings(hidden, {FRESH: stale}, job.masses, job.seed)
     try:
         cases += weighings(later, robots, job.masses, job.seed)
     except ProprioError as error:
         said = str(error)
-    return Drifted(cases, bench.time_s, len(pushes), said)
+    return Drifted(cases, taken.lasts_s, taken.pushes, said)
+
+
+@dataclass(frozen=True)
+class Refresh:
+    """What a refresh took and taught.
+
+    Attributes:
+        robot: With what it taught; None where that was refused.
+        said: Of it.
+        lasts_s: How long its pushes took [s].
+        pushes: How many they were.
+    """
+
+    robot: Robot | None
+    said: str
+    lasts_s: float
+    pushes: int
+
+
+def taken_refresh(
+    stale: Robot,
+    old: Robot,
+    later: HiddenRobot,
+    rng: np.random.Generator,
+) -> Refresh:
+    """The pushes that are chosen for a calibration, made by the robot as it is later.
+
+    Args:
+        stale: With the calibration as it was made.
+        old: With the aged one.
+        later: The robot that drifted.
+        rng: Draws what its pushes have of their own.
+    """
+    sequence = load_sequence("empty_hand", stale)
+    bench = Bench(later, sequence, rng)
+    pushes, _, _ = chosen_refresh(stale, old, REFRESH_S, sequence)
+    runs = [LoadedRun(run) for probe in pushes for run in bench.push(probe, None)]
+    refreshed, said = after_refresh(old, runs)
+    return Refresh(refreshed, said, bench.time_s, len(pushes))
 
 
 def aged_after(fresh: Robot, hours: float, warmer_K: np.ndarray) -> tuple[Robot, Robot]:

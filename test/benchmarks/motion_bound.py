@@ -22,7 +22,7 @@ positions as exact. Their noise, propagated as that of accelerations, would rais
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import solveh_banded
@@ -79,6 +79,62 @@ def _wrench(
     return turn @ force, turn @ moment
 
 
+@dataclass(frozen=True)
+class Frame:
+    """A frame that is fixed to a body, at T times.
+
+    Attributes:
+        turn: From it to the world, (T, 3, 3).
+        spin: Angular velocity [rad/s], (T, 3).
+        spin_rate: Angular acceleration [rad/s2], (T, 3).
+        origin: [m], (T, 3).
+        fall: Acceleration of the origin, less gravity [m/s2], (T, 3).
+    """
+
+    turn: np.ndarray
+    spin: np.ndarray
+    spin_rate: np.ndarray
+    origin: np.ndarray
+    fall: np.ndarray
+
+    @classmethod
+    def of_base(cls, count: int, gravity: np.ndarray) -> Frame:
+        """At rest, so many times."""
+        none = np.zeros((count, 3))
+        turn = np.broadcast_to(np.eye(3), (count, 3, 3))
+        return cls(turn, none, none, none, none - gravity)
+
+    def moved_by(self, place: np.ndarray) -> Frame:
+        """Fixed to the same body, with the origin at a place in this frame [m], (3,)."""
+        arm_of = self.turn @ place
+        swung = np.cross(self.spin_rate, arm_of)
+        drawn_in = np.cross(self.spin, np.cross(self.spin, arm_of))
+        return replace(self, origin=self.origin + arm_of, fall=self.fall + swung + drawn_in)
+
+    def turned_by(
+        self,
+        direction: np.ndarray,
+        angle: np.ndarray,
+        speed: np.ndarray,
+        acceleration: np.ndarray,
+    ) -> Frame:
+        """Of the body behind a hinge in the origin.
+
+        Args:
+            direction: Of its axis in this frame, (3,).
+            angle: [rad], (T,).
+            speed: [rad/s], (T,).
+            acceleration: [rad/s2], (T,).
+        """
+        axis = self.turn @ direction
+        cross = _cross(direction)
+        q = angle[:, None, None]
+        turn = np.eye(3) + np.sin(q) * cross + (1.0 - np.cos(q)) * cross @ cross
+        rate = axis * speed[:, None]
+        spin_rate = self.spin_rate + axis * acceleration[:, None] + np.cross(self.spin, rate)
+        return replace(self, turn=self.turn @ turn, spin=self.spin + rate, spin_rate=spin_rate)
+
+
 def torque_of_bodies(
     arm: Twin,
     position: np.ndarray,
@@ -91,39 +147,25 @@ def torque_of_bodies(
     Parameters of a body: mass, first moments, inertia about its frame's origin (xx, xy, xz, yy, yz, zz).
     """
     count, joints = position.shape
-    turn = np.broadcast_to(
-        np.eye(3),
-        (count, 3, 3),
-    )
-    spin = np.zeros((count, 3))
-    spin_rate = np.zeros((count, 3))
-    origin = np.zeros((count, 3))
-    fall = np.zeros((count, 3)) - gravity
+    frame = Frame.of_base(count, gravity)
     axes = []
     origins = []
     result = np.zeros((count, joints, 10 * (1 + joints)))
     for body in range(joints + 1):
-        place = arm.build.origins[body] if body < joints else arm.build.grip
-        arm_of = turn @ _numbers(place)
-        fall = fall + np.cross(spin_rate, arm_of) + np.cross(spin, np.cross(spin, arm_of))
-        origin = origin + arm_of
         if body < joints:
+            frame = frame.moved_by(_numbers(arm.build.origins[body]))
             direction = _numbers(arm.build.axes[body])
-            axis = turn @ direction
-            cross = _cross(direction)
-            angle = position[:, body, None, None]
-            turn = turn @ (
-                np.eye(3) + np.sin(angle) * cross + (1.0 - np.cos(angle)) * cross @ cross
+            axes.append(frame.turn @ direction)
+            origins.append(frame.origin)
+            frame = frame.turned_by(
+                direction, position[:, body], velocity[:, body], acceleration[:, body]
             )
-            rate = axis * velocity[:, body, None]
-            spin_rate = spin_rate + axis * acceleration[:, body, None] + np.cross(spin, rate)
-            spin = spin + rate
-            axes.append(axis)
-            origins.append(origin)
-        force, moment = _wrench(turn, spin, spin_rate, fall)
+        else:
+            frame = frame.moved_by(_numbers(arm.build.grip))
+        force, moment = _wrench(frame.turn, frame.spin, frame.spin_rate, frame.fall)
         at = 10 * (body + 1) if body < joints else 0
         for joint in range(len(axes)):
-            about = moment + _cross(origin - origins[joint]) @ force
+            about = moment + _cross(frame.origin - origins[joint]) @ force
             result[:, joint, at : at + 10] = (axes[joint][:, None] @ about)[:, 0]
     return result
 
@@ -235,51 +277,64 @@ class Model:
 
     def slopes(self) -> list[np.ndarray]:
         """Of `read` by every unknown at the truth, each of shape (T n, U)."""
-        joints = self.joints
-        of = self._by_joint(self.truth)
+        by_bodies = self._by_bodies()
+        motors = zip(self._motors(self.truth), self.read(self.truth), strict=True)
+        return [
+            self._slopes_of(number, *passed, read, by_bodies)
+            for number, (passed, read) in enumerate(motors)
+        ]
+
+    def _by_bodies(self) -> np.ndarray:
+        """Parameters of payload and links by the first unknowns, those of `bodies`, shape (10 (1 + n), 10 + 5 n)."""
         step = 1e-6
         start = 10 + 5 * self.joints
         steps = step * np.eye(len(self.truth))[:start]
-        by_bodies = np.array(
-            [self.bodies(self.truth + d) - self.bodies(self.truth - d) for d in steps]
-        ).T / (2.0 * step)
-        result = []
-        for number, ((motion, loaded), (passed, gain, slip), read) in enumerate(
-            zip(
-                self.motions,
-                self._motors(self.truth),
-                self.read(self.truth),
-                strict=True,
-            )
-        ):
-            wave = self.arm.wave(motion.position)
-            coulomb = of["coulomb"][number]
-            rows = np.zeros((len(wave), joints, len(self.truth)))
-            rows[:, :, :start] = gain[..., None] * (self.regressors[number] @ by_bodies)
-            rows[:, :, :10] *= loaded
-            columns = {
-                "armature": gain * motion.acceleration,
-                "gears": gain * np.abs(passed) * slip,
-                "viscous": motion.velocity,
-                "place": gain * slip * coulomb * wave,
-                "delta": -read,
-            }
-            own = [
-                *(columns[kind] for kind in JOINT_KINDS),
-                *(np.zeros_like(wave) for _ in self.motions),
-            ]
-            own[len(JOINT_KINDS) + number] = gain * slip * (1.0 + of["place"] * wave)
-            for kind, column in enumerate(own):
-                for joint in range(joints):
-                    rows[:, joint, start + kind * joints + joint] = column[:, joint]
-            rows /= (1.0 + of["delta"])[:, None]
-            result.append(
-                rows.reshape(
-                    -1,
-                    len(self.truth),
-                )
-            )
+        changes = [self.bodies(self.truth + d) - self.bodies(self.truth - d) for d in steps]
+        result: np.ndarray = np.array(changes).T / (2.0 * step)
         return result
+
+    def _slopes_of(
+        self,
+        number: int,
+        passed: np.ndarray,
+        gain: np.ndarray,
+        slip: np.ndarray,
+        read: np.ndarray,
+        by_bodies: np.ndarray,
+    ) -> np.ndarray:
+        """Of what is read of one motion by every unknown at the truth, shape (T n, U).
+
+        Args:
+            number: Of the motion.
+            passed, gain, slip: As `_motors` has them, (T, n).
+            read: As `read` has it, (T, n).
+            by_bodies: As `_by_bodies` has them.
+        """
+        motion, loaded = self.motions[number]
+        joints = self.joints
+        of = self._by_joint(self.truth)
+        wave = self.arm.wave(motion.position)
+        start = by_bodies.shape[1]
+        rows = np.zeros((len(wave), joints, len(self.truth)))
+        rows[:, :, :start] = gain[..., None] * (self.regressors[number] @ by_bodies)
+        rows[:, :, :10] *= loaded
+        columns = {
+            "armature": gain * motion.acceleration,
+            "gears": gain * np.abs(passed) * slip,
+            "viscous": motion.velocity,
+            "place": gain * slip * of["coulomb"][number] * wave,
+            "delta": -read,
+        }
+        own = [
+            *(columns[kind] for kind in JOINT_KINDS),
+            *(np.zeros_like(wave) for _ in self.motions),
+        ]
+        own[len(JOINT_KINDS) + number] = gain * slip * (1.0 + of["place"] * wave)
+        for kind, column in enumerate(own):
+            for joint in range(joints):
+                rows[:, joint, start + kind * joints + joint] = column[:, joint]
+        rows /= (1.0 + of["delta"])[:, None]
+        return rows.reshape(-1, len(self.truth))
 
     def prior_precision(
         self,

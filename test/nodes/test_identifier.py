@@ -42,7 +42,7 @@ from proprio_ros.quantity import Sought
 from proprio_ros.recordings.messages import RawMessage
 from proprio_ros.recordings.sources import BagSource
 from proprio_ros.recordings.writer import write_messages
-from proprio_ros.robot import load_robot
+from proprio_ros.robot import Robot, load_robot
 from proprio_ros.robot.kinematics import zero_pose
 
 MASS = Sought("mass", "kg")
@@ -456,16 +456,12 @@ def test_how_warm_the_motors_are_is_part_of_a_recording(
     node.inputs.session = None
 
 
-def test_the_push_that_comes_next_is_shown(nodes: Nodes, tmp_path: Path) -> None:
-    node = nodes.identifier(
-        data_directory=tmp_path,
-        calibration="none",
-        frame_prefix="arm1/",
-    )
-    results = node.results
-    robot = load_robot("open_manipulator_x")
-    shown = node.published["next_push"]
-    start = zero_pose(robot) | {"joint2": -1.0, "joint3": 0.5}
+ELBOW_LIFTS = {"joint2": -1.0, "joint3": 0.5}
+
+
+def undecided(robot: Robot) -> Decision:
+    """50 g, not yet known well enough: the elbow is to lift next."""
+    start = zero_pose(robot) | ELBOW_LIFTS
     push = Push(
         "joint3",
         start,
@@ -477,7 +473,7 @@ def test_the_push_that_comes_next_is_shown(nodes: Nodes, tmp_path: Path) -> None
         0.1,
         -0.6,
     )
-    undecided = Decision(
+    return Decision(
         None,
         "",
         "",
@@ -489,8 +485,17 @@ def test_the_push_that_comes_next_is_shown(nodes: Nodes, tmp_path: Path) -> None
         0.1,
         MASS,
     )
-    results.choice(robot, undecided, {"joint2": -1.0})
-    first, words, line, end = shown[-1].markers
+
+
+def test_the_push_that_comes_next_is_shown(nodes: Nodes, tmp_path: Path) -> None:
+    node = nodes.identifier(
+        data_directory=tmp_path,
+        calibration="none",
+        frame_prefix="arm1/",
+    )
+    robot = load_robot("open_manipulator_x")
+    node.results.choice(robot, undecided(robot), {"joint2": -1.0})
+    first, words, line, end = node.published["next_push"][-1].markers
     assert first.action == Marker.DELETEALL
     assert {m.header.frame_id for m in (words, line, end)} == {"arm1/link1"}
     assert words.text == "50.0 g +- 0.80 g\nnext: joint3 -340 mA, then +-0.40 g"
@@ -499,19 +504,29 @@ def test_the_push_that_comes_next_is_shown(nodes: Nodes, tmp_path: Path) -> None
     assert line.type == Marker.LINE_STRIP
     assert len(way) == 20
     assert way[-1, 2] > way[0, 2] + 0.05
+    start = zero_pose(robot) | ELBOW_LIFTS
     for place, pose in ((0, start), (-1, start | {"joint3": -0.1})):
         np.testing.assert_allclose(
             way[place], robot.model.frame_transform(robot.payload_frame, pose)[:3, 3]
         )
     assert (end.pose.position.x, end.pose.position.z) == (way[-1, 0], way[-1, 2])
-    unknown = replace(undecided, value=0.06, half=0.2, promised=4e-3, is_known=False)
-    results.choice(robot, unknown, {})
+
+
+def test_before_the_first_answer_and_after_the_last_push_words_are_shown(
+    nodes: Nodes, tmp_path: Path
+) -> None:
+    node = nodes.identifier(data_directory=tmp_path, calibration="none")
+    shown = node.published["next_push"]
+    robot = load_robot("open_manipulator_x")
+    decision = undecided(robot)
+    unknown = replace(decision, value=0.06, half=0.2, promised=4e-3, is_known=False)
+    node.results.choice(robot, unknown, {})
     assert shown[-1].markers[1].text.startswith("not weighed yet\nnext: joint3")
-    sure = replace(undecided, reason="sure", ended_by="target", half=4e-4, push=None)
-    results.choice(robot, sure, {"joint2": -1.0})
+    sure = replace(decision, reason="sure", ended_by="target", half=4e-4, push=None)
+    node.results.choice(robot, sure, {"joint2": -1.0})
     assert [m.type for m in shown[-1].markers[1:]] == [Marker.TEXT_VIEW_FACING]
     assert shown[-1].markers[1].text.endswith("ended by: target")
-    results.withdraw()
+    node.results.withdraw()
     assert [m.action for m in shown[-1].markers] == [Marker.DELETEALL]
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -112,74 +112,87 @@ def check_refreshing(sequence_file: str) -> None:
     assert sequence.approach_velocity == 1.2
 
 
+@dataclass
+class Refreshing:
+    """A job that brings a calibration up to date, without an arm: what is pushed was recorded before.
+
+    Attributes:
+        workspace: Where its calibration is.
+        bag: What is recorded.
+        now_s: The time [s].
+        said, recorded, anew: What it says, the sequences it has made, and what is done to the running estimate.
+    """
+
+    workspace: Workspace
+    bag: Path
+    now_s: float
+    said: list[str] = field(default_factory=list)
+    recorded: list[str] = field(default_factory=list)
+    anew: list[str] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        work: Any = jobs.Jobs.__new__(jobs.Jobs)
+        work._workspace = self.workspace
+        work._inputs = SimpleNamespace(live=None, moment=lambda: Moment(self.now_s))
+        work._results = SimpleNamespace(
+            tell=lambda *words: None,
+            tell_and_log=lambda _, words: self.said.append(words),
+            calibration=lambda *_: None,
+        )
+        work._value = {"robot_sequence": "empty_hand"}.__getitem__
+        work.record = lambda *given: self.recorded.append(given[2]) or self.bag
+        work._keep = lambda write: write()
+        work._weighing = SimpleNamespace(
+            prepare=lambda: self.anew.append("prepare"), begin=lambda: self.anew.append("begin")
+        )
+        self._work = work
+
+    def refreshed(self) -> tuple[bool, str]:
+        """Whether it was, and what the service says."""
+        words: tuple[bool, str] = self._work._refresh(Job("refresh", "refresh_robot"))
+        return words
+
+
 def test_a_calibration_in_use_is_brought_up_to_date(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """All of the job but the arm: what is pushed was recorded before."""
     old = tmp_path / "old.yaml"
-    bag = tmp_path / "refresh" / "bag"
-    bag.parent.mkdir()
     made = calibrate_from_bags(
         [bag_of(n) for n in (0, 1, 4)],
         {},
         output=old,
     )
     assert made.verdict is Verdict.ACCEPTED
+    bag = tmp_path / "refresh" / "bag"
+    bag.parent.mkdir()
     shutil.copytree(bag_of(3), bag)
     workspace = Workspace(tmp_path, "open_manipulator_x")
-    said = []
-    made_s = 1760000010.0
-    results: Any = SimpleNamespace(
-        tell=lambda *words: None,
-        tell_and_log=lambda _, words: said.append(words),
-        calibration=lambda *_: None,
-    )
-    inputs: Any = SimpleNamespace(
-        live=None,
-        moment=lambda: Moment(made_s),
-    )
-    recorded: list[str] = []
+    job = Refreshing(workspace, bag, 1760000010.0)
     monkeypatch.setattr(
         jobs, "chosen_refresh", lambda *_: ([ExcitationRun("joint3", -0.3, 0.5)], 8e-4, 2e-3)
     )
-
-    work: Any = jobs.Jobs.__new__(jobs.Jobs)
-    work._workspace = workspace
-    work._inputs = inputs
-    work._results = results
-    work._value = {"robot_sequence": "empty_hand"}.__getitem__
-    work.record = lambda *given: recorded.append(given[2]) or bag
-    work._keep = lambda write: write()
-    anew: list[str] = []
-    work._weighing = SimpleNamespace(
-        prepare=lambda: anew.append("prepare"), begin=lambda: anew.append("begin")
-    )
-
-    def refreshed() -> tuple[bool, str]:
-        words: tuple[bool, str] = work._refresh(Job("refresh", "refresh_robot"))
-        return words
-
     with pytest.raises(JobError, match="call ~/calibrate_robot first"):
-        refreshed()
+        job.refreshed()
     workspace.calibration = old
-    success, words = refreshed()
+    success, words = job.refreshed()
     assert success
     assert words.startswith("up to date: made less than ten minutes ago")
-    assert not recorded
-    assert not anew
-    made_s += 5 * 86400.0
-    success, words = refreshed()
-    assert anew == ["prepare", "begin"], "the running estimate goes on with it"
+    assert not job.recorded
+    assert not job.anew
+    job.now_s += 5 * 86400.0
+    success, words = job.refreshed()
+    assert job.anew == ["prepare", "begin"], "the running estimate goes on with it"
     assert success and "brought up to date by 1 of 1 runs" in words, words
     assert (
         workspace.calibration
         == bag.parent / "calibration.yaml"
         == workspace.newest_calibration.resolve()
     )
-    assert said == [
+    assert job.said == [
         "pushes with an empty hand: 1; a weighing of 30 g was as sure as +-0.80 g when it was made, 2.00 g by now"
     ]
-    (asked,) = recorded
+    (asked,) = job.recorded
     check_refreshing(asked)
     assert (bag.parent / "report.html").exists()
 
