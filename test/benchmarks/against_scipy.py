@@ -21,28 +21,31 @@ RTOL = 1e-8
 ATOL = 1e-10
 
 
-def identify(
-    case: Case,
-    method: str = "DOP853",
-) -> Callable[[], tuple[np.ndarray, float]]:
-    """A function that identifies from five starts and returns where they end and the best [kg]."""
-    prepared = case.prepared
-    coordinates = case.problem.coordinates
-    current = float(case.run.input_current_A[0])
-    empty, per_kg = case.parameters(np.array([0.0]))
-    empty = empty[0]
-    per_kg = per_kg[0, :, 0]
-    torque = empty[INDEX["torque_constant"]] * current
-    delay = empty[INDEX["delay"]]
-    volt = case.problem.simulator.runs[0].supply[0]
-    if volt > 0.0:
-        raise SystemExit("the comparison wants a robot without a supply limit")
-    times = prepared.times_s - delay
-    end = float(times[-1])
+class Moved:
+    """The joint of a case under its current, by scipy: the law has no friction, as the case has none.
 
-    def residual(internal: np.ndarray) -> np.ndarray:
-        mass, q0, v0 = coordinates.physical(internal)
-        inertia, cosine, sine, constant = (empty + mass * per_kg)[:4]
+    Args:
+        case: Whose run it is.
+        method: Of ``solve_ivp``.
+    """
+
+    def __init__(self, case: Case, method: str) -> None:
+        empty, per_kg = case.parameters(np.array([0.0]))
+        self.empty = empty[0]
+        self.per_kg = per_kg[0, :, 0]
+        self.torque = self.empty[INDEX["torque_constant"]] * float(case.run.input_current_A[0])
+        self.method = method
+        self.times_s = case.prepared.times_s - self.empty[INDEX["delay"]]
+
+    def angles(
+        self,
+        mass: float,
+        q0: float,
+        v0: float,
+    ) -> np.ndarray:
+        """At the samples [rad], (T,), of a mass [kg] and a state at the onset [rad, rad/s]."""
+        torque = self.torque
+        inertia, cosine, sine, constant = (self.empty + mass * self.per_kg)[:4]
 
         def law(
             _t: float,
@@ -53,20 +56,34 @@ def identify(
 
         rolled = solve_ivp(
             law,
-            (0.0, end),
+            (0.0, float(self.times_s[-1])),
             (q0, v0),
-            method,
-            times,
+            self.method,
+            self.times_s,
             rtol=RTOL,
             atol=ATOL,
         )
-        prior = (np.array([mass, q0, v0]) - coordinates.prior_mean) * np.sqrt(
-            np.diag(coordinates.prior_precision)
-        )
-        return np.append(
-            (rolled.y[0] - prepared.position) / prepared.sigma,
-            prior[1:],
-        )
+        angles: np.ndarray = rolled.y[0]
+        return angles
+
+
+def identify(
+    case: Case,
+    method: str = "DOP853",
+) -> Callable[[], tuple[np.ndarray, float]]:
+    """A function that identifies from five starts and returns where they end and the best [kg]."""
+    if case.problem.simulator.runs[0].supply[0] > 0.0:
+        raise SystemExit("the comparison wants a robot without a supply limit")
+    prepared = case.prepared
+    coordinates = case.problem.coordinates
+    moved = Moved(case, method)
+
+    def residual(internal: np.ndarray) -> np.ndarray:
+        values = coordinates.physical(internal)
+        off = (moved.angles(*values) - prepared.position) / prepared.sigma
+        weights = np.sqrt(np.diag(coordinates.prior_precision))
+        prior = (np.array(values) - coordinates.prior_mean) * weights
+        return np.append(off, prior[1:])
 
     def solve() -> tuple[np.ndarray, float]:
         ends = [

@@ -226,13 +226,33 @@ def rows(case: Case) -> list[Row]:
     target = float(np.interp(frames * FRAME_S, case.prepared.times_s, case.prepared.position))
     substeps = 16 if cases.once else SUBSTEPS
     theirs, same = (way(case, frames, target, substeps) for way in (PerSubstep, OneLaunch))
-    starts = np.array(STARTS_KG)[:, None]
-    a = theirs(starts)
-    b = same(starts)
-    apart = max(float(np.abs(x - y).max() / np.abs(y).max()) for x, y in zip(a, b, strict=True))
     what = f"one launch per substep + wp.Tape, {substeps} Euler steps a frame"
+    starts = np.array(STARTS_KG)[:, None]
+    both = zip(theirs(starts), same(starts), strict=True)
+    apart = max(float(np.abs(x - y).max() / np.abs(y).max()) for x, y in both)
     if not apart <= EQUAL:
         return [Row(what, None, "void", False, f"gradients differ by {apart:.1e}")]
+    gradients = _gradient_rows(what, theirs, same, case, apart)
+    return [*gradients, _descent_row(theirs, same, case)]
+
+
+def _gradient_rows(
+    what: str,
+    theirs: PerSubstep,
+    same: OneLaunch,
+    case: Case,
+    apart: float,
+) -> list[Row]:
+    """Time of a gradient of five starts.
+
+    Args:
+        what: The other way in words.
+        theirs: It.
+        same: Ours at the same substeps.
+        case: Whose run it is.
+        apart: Share by which both gradients differ.
+    """
+    starts = np.array(STARTS_KG)[:, None]
     p, dp = case.parameters(np.array(STARTS_KG))
     worlds = np.zeros(len(STARTS_KG), dtype=np.int32)
     slow, fused, real = measure_in_turn(
@@ -244,7 +264,7 @@ def rows(case: Case) -> list[Row]:
         repeats=9,
         calls=(1, 20, 50),
     )
-    found = [
+    return [
         Row(
             f"{what}, one gradient of five starts",
             slow,
@@ -253,6 +273,14 @@ def rows(case: Case) -> list[Row]:
         _faster("  our kernel, the same substeps", fused, slow),
         _faster("  our kernel as used (RK4, all samples, three unknowns)", real, slow),
     ]
+
+
+def _descent_row(
+    theirs: PerSubstep,
+    same: OneLaunch,
+    case: Case,
+) -> Row:
+    """Time of the shortest of `SCHEDULES` that ends where we do."""
     stops = {iterations: adam(same, iterations)[1] - case.mass for iterations in SCHEDULES}
     agreeing = [iterations for iterations, off in stops.items() if abs(off) <= AGREEMENT_KG]
     iterations = agreeing[0] if agreeing else PAPER_ITERATIONS
@@ -263,13 +291,8 @@ def rows(case: Case) -> list[Row]:
         case,
     )
     stop = 1e3 * stops[PAPER_ITERATIONS]
-    return [
-        *found,
-        replace(
-            row,
-            note=f"{row.note}; the paper's {PAPER_ITERATIONS} iterations stop {stop:+.2f} g from ours",
-        ),
-    ]
+    words = f"the paper's {PAPER_ITERATIONS} iterations stop {stop:+.2f} g from ours"
+    return replace(row, note=f"{row.note}; {words}")
 
 
 def _faster(what: str, ours: Timing, theirs: Timing) -> Row:

@@ -15,6 +15,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from case import REPEATS, REPOSITORY, Case, Kept, Row, Timing, measure, measure_in_turn
@@ -108,32 +109,14 @@ class MujocoBox:
         spec.option.timestep = step_s
         spec.option.integrator = getattr(mujoco.mjtIntegrator, f"mjINT_{integrator}")
         spec.option.gravity = run.gravity
-        hand = spec.worldbody.add_body(name="hand")
-        hand.add_joint(
-            name="hinge", type=mujoco.mjtJoint.mjJNT_HINGE, axis=run.axis, pos=run.joint_origin
-        )
-        hand.explicitinertial = True
-        inertia, by_cos, by_sin, _constant = p[:4]
-        across = run.gravity - run.axis * (run.axis @ run.gravity)
-        # load = arm . (axis x gravity) cos q + arm . gravity sin q, where ``arm`` is a kilogram's place from the axis
-        arm = (by_cos * np.cross(run.axis, run.gravity) + by_sin * across) / (across @ across)
-        hand.mass, hand.ipos, hand.inertia = 1.0, run.joint_origin + arm, np.full(3, 1e-6)
-        spec.joint("hinge").armature = float(inertia - arm @ arm - 1e-6)
         frequency = facts.contact_frequency
         ratio = facts.damping_ratio.value
         contact = {
             "solref": [1.0 / (frequency * ratio), ratio],
             "friction": [facts.friction.value, 0.0, 0.0],
         }
-        half = 0.5 * np.asarray(facts.enclosure.inner_size)
-        for axis in range(3):
-            for side in (-1.0, 1.0):
-                size = half + 0.01
-                place = np.zeros(3)
-                size[axis], place[axis] = 0.01, side * (half[axis] + 0.01)
-                hand.add_geom(
-                    type=mujoco.mjtGeom.mjGEOM_BOX, size=size, pos=place, condim=3, **contact
-                )
+        hand = self._add_hand(spec, p)
+        self._add_walls(hand, 0.5 * np.asarray(facts.enclosure.inner_size), contact)
         sphere = spec.worldbody.add_body(name="sphere")
         sphere.add_freejoint()
         sphere.add_geom(
@@ -145,6 +128,44 @@ class MujocoBox:
         )
         self._model = spec.compile()
         self._data = mujoco.MjData(self._model)
+
+    def _add_hand(self, spec: Any, p: np.ndarray) -> Any:
+        """The hinge and what hangs on it, by the joint's parameters (P,)."""
+        run = self._run
+        hand = spec.worldbody.add_body(name="hand")
+        hand.add_joint(
+            name="hinge",
+            type=self._mujoco.mjtJoint.mjJNT_HINGE,
+            axis=run.axis,
+            pos=run.joint_origin,
+        )
+        inertia, by_cos, by_sin, _constant = p[:4]
+        across = run.gravity - run.axis * (run.axis @ run.gravity)
+        # load = arm . (axis x gravity) cos q + arm . gravity sin q, where ``arm`` is a kilogram's place from the axis
+        arm = (by_cos * np.cross(run.axis, run.gravity) + by_sin * across) / (across @ across)
+        hand.explicitinertial = True
+        hand.mass = 1.0
+        hand.ipos = run.joint_origin + arm
+        hand.inertia = np.full(3, 1e-6)
+        spec.joint("hinge").armature = float(inertia - arm @ arm - 1e-6)
+        return hand
+
+    def _add_walls(
+        self,
+        hand: Any,
+        half: np.ndarray,
+        contact: dict[str, Any],
+    ) -> None:
+        """Six of them about the inside of those half sizes [m], (3,)."""
+        for axis in range(3):
+            for side in (-1.0, 1.0):
+                size = half + 0.01
+                size[axis] = 0.01
+                place = np.zeros(3)
+                place[axis] = side * (half[axis] + 0.01)
+                hand.add_geom(
+                    type=self._mujoco.mjtGeom.mjGEOM_BOX, size=size, pos=place, condim=3, **contact
+                )
 
     def positions(
         self,
@@ -382,69 +403,66 @@ def by_mujoco(box: Boxed, times_s: np.ndarray) -> np.ndarray:
     )
 
 
-def mujoco_fit(
-    box: Boxed, step_s: float, integrator: str
-) -> Callable[[], tuple[np.ndarray, np.ndarray, int]]:
-    """A function that fits MuJoCo to the recording with scipy's ``least_squares`` and its 2-point differences.
+class MujocoFit:
+    """Fits MuJoCo to the recording with scipy's ``least_squares`` and its 2-point differences.
 
     Same unknowns, priors, weights and first guesses as ours; the mass as its logarithm, the others in standard deviations of their
-    prior. It returns where the starts end [kg], their costs, and how many rollouts it took.
-    """
-    problem = box.problem
-    prepared = box.problem.runs[0]
-    empty, _ = box.parameters([0.0])
-    mujoco_box = MujocoBox(
-        box.run,
-        empty[0],
-        box.facts,
-        step_s,
-        integrator,
-    )
-    unknowns = problem.estimated_unknowns()
-    mean, std = np.array([u.value for u in unknowns]), np.array([u.std for u in unknowns])
-    mass = box.names.index("sphere_mass")
-    places = [problem.index[f"sphere_{axis}", 0] for axis in "xyz"]
-    at = problem.index
-    rollouts = 0
-    # scipy's difference is a share of the coordinate, so none may lie at 0: priors lie at 10, and one step is 0.01 of their width
-    shares = np.full(len(unknowns), 1e-3)
-    shares[mass] = 1e-4
+    prior. Scipy's difference is a share of the coordinate, so none may lie at 0: priors lie at 10.
 
-    def residual(x: np.ndarray) -> np.ndarray:
-        nonlocal rollouts
-        rollouts += 1
-        values = problem.base.copy()
-        off = np.delete(x - 10.0, mass)
-        values[problem.estimated] = mean + np.where(
-            np.isfinite(std),
-            std,
-            0.0,
-        ) * (x - 10.0)
-        values[at["sphere_mass"]] = np.exp(x[mass])
-        shown = mujoco_box.positions(
+    Args:
+        box: The recording and the problem.
+        step_s: MuJoCo's.
+        integrator: MuJoCo's.
+    """
+
+    def __init__(
+        self,
+        box: Boxed,
+        step_s: float,
+        integrator: str,
+    ) -> None:
+        empty, _ = box.parameters([0.0])
+        self._mujoco = MujocoBox(box.run, empty[0], box.facts, step_s, integrator)
+        self._problem = box.problem
+        self._mass = box.names.index("sphere_mass")
+        unknowns = box.problem.estimated_unknowns()
+        std = np.array([u.std for u in unknowns])
+        self._mean = np.array([u.value for u in unknowns])
+        self._width = np.where(np.isfinite(std), std, 0.0)
+        # one step is 0.01 of the priors' width
+        self._shares = np.full(len(unknowns), 1e-3)
+        self._shares[self._mass] = 1e-4
+        self._rollouts = 0
+
+    def __call__(self) -> tuple[np.ndarray, np.ndarray, int]:
+        """Where the starts end [kg], their costs, and how many rollouts it took."""
+        self._rollouts = 0
+        ends = []
+        for guess in STARTS_KG:
+            start = np.full(len(self._mean), 10.0)
+            start[self._mass] = np.log(guess)
+            ends.append(least_squares(self._residual, start, diff_step=self._shares))
+        masses = np.exp([end.x[self._mass] for end in ends])
+        return masses, np.array([end.cost for end in ends]), self._rollouts
+
+    def _residual(self, x: np.ndarray) -> np.ndarray:
+        """Of the samples and of the priors, in standard deviations."""
+        self._rollouts += 1
+        at = self._problem.index
+        values = self._problem.base.copy()
+        values[self._problem.estimated] = self._mean + self._width * (x - 10.0)
+        values[at["sphere_mass"]] = np.exp(x[self._mass])
+        recorded = self._problem.runs[0]
+        shown = self._mujoco.positions(
             values[at["sphere_mass"]],
-            values[places],
+            values[[at[f"sphere_{axis}", 0] for axis in "xyz"]],
             values[at["q0", 0]],
             values[at["v0", 0]],
             CURRENT_A,
-            prepared.times_s,
+            recorded.times_s,
         )
-        return np.append(
-            (shown - prepared.position) / prepared.sigma,
-            off,
-        )
-
-    def solve() -> tuple[np.ndarray, np.ndarray, int]:
-        nonlocal rollouts
-        rollouts = 0
-        ends = []
-        for guess in STARTS_KG:
-            start = np.full(len(unknowns), 10.0)
-            start[mass] = np.log(guess)
-            ends.append(least_squares(residual, start, diff_step=shares))
-        return np.exp([end.x[mass] for end in ends]), np.array([end.cost for end in ends]), rollouts
-
-    return solve
+        off = np.delete(x - 10.0, self._mass)
+        return np.append((shown - recorded.position) / recorded.sigma, off)
 
 
 class SpherePass:
@@ -728,7 +746,7 @@ def _fit_rows(
     best = masses[answer.best]
     rows: list[Row] = []
     for integrator, step_s in MUJOCO_SETTINGS:
-        solve = Kept(mujoco_fit(box, step_s, integrator))
+        solve = Kept(MujocoFit(box, step_s, integrator))
         theirs, ours = measure_in_turn(
             (solve, box.solve), 9 if mass_alone else 3, (1, 5), warm_up=0
         )
@@ -800,34 +818,18 @@ def _whole_rows() -> list[Row]:
 
 def _bias_rows(box: Boxed) -> list[Row]:
     """What the step does to the mass, each law against itself at a fine step."""
-    ours = box.facts.contact
-    paper = paper_contact(SPHERE_KG)
+    ours_s = box.run.joint.step_s
     rows = []
-    for law, contact in (("ramped", ours), ("paper", paper)):
-        schemes = [
-            ("rk4", box.run.joint.step_s, f"rk4, steps of {1e3 * box.run.joint.step_s:g} ms"),
+    for law, contact in (("ramped", box.facts.contact), ("paper", paper_contact(SPHERE_KG))):
+        for integrator, step_s, steps in (
+            ("rk4", ours_s, f"rk4, steps of {1e3 * ours_s:g} ms"),
             ("semi_implicit", FRAME_S / SUBSTEPS, f"semi-implicit, {SUBSTEPS} substeps of 1/60 s"),
-        ]
-        for integrator, step_s, steps in schemes:
-            offs = {
-                name: bias_of_steps(box, probe, contact, law, integrator, step_s)
+        ):
+            timing = _forward_timing(box, contact, law, integrator, step_s)
+            biases = ", ".join(
+                f"{name} {100.0 * bias_of_steps(box, probe, contact, law, integrator, step_s):+.4f} %"
                 for name, probe in (("lowered", LOWERED), ("shaken", SHAKEN))
-            }
-            run, p = moved_run(box, LOWERED, contact, SPHERE_KG)
-            joint = replace(run.joint, step_s=step_s, fine_step_s=step_s)
-            simulator = SphereSimulator(
-                [replace(run, joint=joint)], box.facts.enclosure, law, integrator
             )
-            worlds = np.zeros(len(STARTS_KG), dtype=np.int32)
-            p = np.tile(p, (len(STARTS_KG), 1))
-            _, forward = record_forward(simulator, worlds, p)
-            timing = measure(
-                forward.launch,
-                repeats=15,
-                calls=10,
-                warm_up=3,
-            )
-            biases = ", ".join(f"{name} {100.0 * off:+.4f} %" for name, off in offs.items())
             rows.append(
                 Row(
                     f"ours: forward pass, law {law}, {steps}",
@@ -836,6 +838,30 @@ def _bias_rows(box: Boxed) -> list[Row]:
                 )
             )
     return rows
+
+
+def _forward_timing(
+    box: Boxed,
+    contact: Contact,
+    law: str,
+    integrator: str,
+    step_s: float,
+) -> Timing:
+    """Of the lowered container from five starts.
+
+    Args:
+        box: The recording and the problem.
+        contact: Of sphere and walls.
+        law: Of the contact.
+        integrator: Ours.
+        step_s: Its step [s].
+    """
+    run, p = moved_run(box, LOWERED, contact, SPHERE_KG)
+    joint = replace(run.joint, step_s=step_s, fine_step_s=step_s)
+    simulator = SphereSimulator([replace(run, joint=joint)], box.facts.enclosure, law, integrator)
+    worlds = np.zeros(len(STARTS_KG), dtype=np.int32)
+    _, forward = record_forward(simulator, worlds, np.tile(p, (len(STARTS_KG), 1)))
+    return measure(forward.launch, repeats=15, calls=10, warm_up=3)
 
 
 def rows(case: Case) -> list[Row]:

@@ -394,66 +394,91 @@ def pushes(shared: Path) -> Iterator[Question]:
                 )
 
 
+@dataclass(frozen=True)
+class Moved:
+    """A simulated arm that moves, and how: what it holds, what is known to be held for reference [kg], and its drive trains."""
+
+    name: str
+    hand: str
+    kg: float
+    reference_kg: float
+    middle: Sequence[float] | None
+    friction_N_m: float
+    rotor_kg_m2: float
+    units: tuple[str, ...]
+
+
+MOVED = (
+    Moved("ur5e", "tool0", 2.0, 1.0, (0.0, -1.2, 1.4, -0.5, 0.5, 0.0), 0.5, 0.05, ("N.m", "A")),
+    Moved("openarm", "", 0.6, 0.3, None, 0.1, 0.01, ("N.m",)),
+)
+
+
 def motions(shared: Path, folder: Path) -> Iterator[Question]:
     """Simulated arms of six and seven joints, and the UR10e."""
-    arms = {
-        "ur5e": ("tool0", 2.0, 1.0, [0.0, -1.2, 1.4, -0.5, 0.5, 0.0]),
-        "openarm": ("", 0.6, 0.3, None),
-    }
-    for name, (hand, kg, reference_kg, middle) in arms.items():
-        robot = load_robot(name)
-        hand = hand or robot.payload_frame
-        joints = [
-            each for each in robot.drive_trains if robot.model.joint(each).kind != "prismatic"
-        ]
-        for unit in ("N.m", "A") if name == "ur5e" else ("N.m",):
-            constants = {
-                each: 1.0 if unit == "N.m" else robot.drive_trains[each].torque_constant.value
-                for each in joints
-            }
-            bags = {}
-            for number, (what, load) in enumerate(
-                (("empty", 0.0), ("loaded", kg), ("reference", reference_kg))
-            ):
-                bags[what] = record_arm(
-                    folder / f"{name}_{unit}_{what}", URDFS / f"{name}.urdf", constants, hand, load, number, robot_seed=3,
-                    middle=middle, friction_N_m=0.5 if name == "ur5e" else 0.1, rotor_kg_m2=0.05 if name == "ur5e" else 0.01,
-                )  # fmt: skip
-            for file in (name, str(URDFS / f"{name}.urdf"))[unit == "N.m" and name == "ur5e" :][:1]:
-                words = ("--effort-unit", unit, "--set", f"payload.frame={hand}")
-                bare = " (URDF)" if file.endswith(".urdf") else ""
-                asked = Question(
-                    f"{name} {unit}{bare}",
-                    "baseline",
-                    bags["loaded"],
-                    (bags["empty"],),
-                    kg,
-                    file,
-                    words,
-                    joint=joints[1],
-                )
-                yield asked
-                yield replace(
-                    asked, way="referenced", references=((bags["reference"], reference_kg),)
-                )
+    for arm in MOVED:
+        for unit in arm.units:
+            yield from _moved(arm, unit, folder)
     real = shared / "recordings_real"
     bags = {
         name: cut(real / f"ur10e_{name}_14", folder / f"ur10e_{name}", 0.0, 25.0)
         for name in ("loaded", "empty")
     }
-    words = ("--effort-unit", "A")
-    file = str(ur10e_file(real, folder))
-    asked = Question(
+    yield Question(
         "UR10e",
         "baseline",
         bags["loaded"],
         (bags["empty"],),
         UR10E_KG,
-        file,
-        words,
+        str(ur10e_file(real, folder)),
+        ("--effort-unit", "A"),
         joint="shoulder_lift_joint",
     )
+
+
+def _moved(
+    arm: Moved,
+    unit: str,
+    folder: Path,
+) -> Iterator[Question]:
+    """By an empty recording, and by a known load as well; the UR5e with efforts in N m by its URDF."""
+    robot = load_robot(arm.name)
+    urdf = URDFS / f"{arm.name}.urdf"
+    hand = arm.hand or robot.payload_frame
+    constants = {
+        joint: 1.0 if unit == "N.m" else drive.torque_constant.value
+        for joint, drive in robot.drive_trains.items()
+        if robot.model.joint(joint).kind != "prismatic"
+    }
+    bags = {}
+    for number, (what, load) in enumerate(
+        (("empty", 0.0), ("loaded", arm.kg), ("reference", arm.reference_kg))
+    ):
+        bags[what] = record_arm(
+            folder / f"{arm.name}_{unit}_{what}",
+            urdf,
+            constants,
+            hand,
+            load,
+            number,
+            robot_seed=3,
+            middle=arm.middle,
+            friction_N_m=arm.friction_N_m,
+            rotor_kg_m2=arm.rotor_kg_m2,
+        )
+    by_urdf = unit == "N.m" and arm.name == "ur5e"
+    asked = Question(
+        f"{arm.name} {unit}{' (URDF)' if by_urdf else ''}",
+        "baseline",
+        bags["loaded"],
+        (bags["empty"],),
+        arm.kg,
+        str(urdf) if by_urdf else arm.name,
+        ("--effort-unit", unit, "--set", f"payload.frame={hand}"),
+        joint=list(constants)[1],
+    )
     yield asked
+    yield replace(asked, way="referenced", references=((bags["reference"], arm.reference_kg),))
 
 
 def swings(shared: Path, folder: Path) -> Iterator[Question]:

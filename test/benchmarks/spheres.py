@@ -355,12 +355,16 @@ def cramer_rao(
     sigma = np.hypot(reading, v[0] * hidden.stamp_jitter_s)
     rows = (dq[0] / sigma[..., None])[problem.weight > 0.0]
     information = rows.T @ rows + problem.coordinates.prior_precision
+    return least_std(information, problem.column_of("sphere_mass"))
+
+
+def least_std(information: np.ndarray, column: int) -> float:
+    """Of one unknown: the root of what the inverse of that information (U, U) has in its column."""
     scale = 1.0 / np.sqrt(np.diag(information))
     inverse = np.linalg.pinv(
         information * scale[:, None] * scale[None, :], rcond=1e-14, hermitian=True
     )
-    at = problem.column_of("sphere_mass")
-    return float(np.sqrt(inverse[at, at]) * scale[at])
+    return float(np.sqrt(inverse[column, column]) * scale[column])
 
 
 @dataclass(frozen=True)

@@ -76,7 +76,7 @@ def test_plain_c_computes_our_numbers_with_a_sphere(tmp_path: Path) -> None:
 def test_a_sphere_in_mujoco_is_ours() -> None:
     """The same joint and box, another law of contact: positions agree, and so do the masses that both find."""
     pytest.importorskip("mujoco")
-    from container import AGREEMENT, SPHERE_KG, by_mujoco, mujoco_fit, pose
+    from container import AGREEMENT, SPHERE_KG, MujocoFit, by_mujoco, pose
 
     box = pose(by_mujoco, mass_alone=True)
     p, _ = box.parameters([SPHERE_KG])
@@ -87,7 +87,7 @@ def test_a_sphere_in_mujoco_is_ours() -> None:
     )
     assert np.abs(ours[0] - by_mujoco(box, times_s)).max() < 2e-3 < 0.01 * np.ptp(ours)
     answer = box.solve()
-    masses, costs, _ = mujoco_fit(box, 2.5e-3, "RK4")()
+    masses, costs, _ = MujocoFit(box, 2.5e-3, "RK4")()
     for mass in (box.masses(answer.internal)[answer.best], masses[int(np.argmin(costs))]):
         assert mass == pytest.approx(SPHERE_KG, rel=AGREEMENT)
 
