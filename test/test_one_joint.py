@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -78,6 +78,19 @@ class Pendulum:
         return angle + STEP_S * half, speed + STEP_S * rate
 
 
+@dataclass(frozen=True)
+class Goal:
+    """Three sines that begin at 0 [rad], of phases [rad] and speeds [rad/s]."""
+
+    phases: np.ndarray
+    speeds: np.ndarray
+
+    def at(self, t: float) -> float:
+        """At a time [s]."""
+        waves = 0.6 * np.sin(self.speeds * t + self.phases) - 0.6 * np.sin(self.phases)
+        return float(np.sum(waves))
+
+
 def swung(
     payload_kg: float,
     *,
@@ -105,24 +118,28 @@ def swung(
     noise = random.uniform(0.01, 0.05)
     delay = int(random.integers(1, 4))
     phases = random.uniform(0.0, 2.0 * np.pi, 3)
-    speeds = random.uniform(1.5, 6.0, 3)
+    way = Goal(phases, random.uniform(1.5, 6.0, 3))
     every = round(1.0 / rate_Hz / STEP_S)
     angle = speed = 0.0
     commands = [0.0] * (delay + 1)
     rows = []
     for k in range(round(seconds / STEP_S)):
         t = k * STEP_S
-        goal = float(np.sum(0.6 * np.sin(speeds * t + phases) - 0.6 * np.sin(phases)))
         seen = angle + random.normal(0.0, 2e-4)
-        wanted = 12.0 * moment * (goal - seen) - 1.2 * moment * speed
+        wanted = 12.0 * moment * (way.at(t) - seen) - 1.2 * moment * speed
         commands.append(float(np.clip(wanted, -8.0, 8.0)))
         torque = commands[-1 - delay]
         if k % every == 0:
             rows.append((round(1e9 * t), seen, scale * (torque + random.normal(0.0, noise))))
         angle, speed = pendulum.step(torque, angle, speed)
+    return recording_of(rows), inertia / moment
+
+
+def recording_of(rows: Sequence[tuple[int, float, float]]) -> Recording:
+    """Of times [ns], angles [rad] and efforts."""
     times_ns, positions, efforts = map(np.array, zip(*rows, strict=True))
     record = JointRecord(times_ns, ("pendulum",), positions[:, None], effort=efforts[:, None])
-    return Recording("swung", record, None), inertia / moment
+    return Recording("swung", record, None)
 
 
 def replayed(

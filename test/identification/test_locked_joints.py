@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Collection, Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,6 +14,7 @@ from proprio_ros.identification.locked_joints import (
     DRIVEN_SCALES,
     LOCKED_SCALES,
     MOVED_EVIDENCE,
+    Followed,
     joint_torque,
     loads_of_yielding,
     locked_motions,
@@ -22,7 +24,7 @@ from proprio_ros.identification.locked_joints import (
 from proprio_ros.pipeline.loading import bag_runs
 from proprio_ros.pipeline.request import Request
 from proprio_ros.records import Run
-from proprio_ros.robot import load_robot
+from proprio_ros.robot import ReducedModel, load_robot
 from proprio_ros.sim.payload import (
     PayloadFacts,
     PayloadShape,
@@ -247,6 +249,24 @@ def inverse_dynamics(arm, joint: str, positions, velocities, accelerations) -> f
     return float(data.qfrc_inverse[model.joint(joint).dofadr[0]])
 
 
+def with_load(
+    model: ReducedModel,
+    frame: str,
+    kg: float,
+) -> np.ndarray:
+    """Pseudo-inertia of every body with so much of `LOAD` in a frame, shape (n, 4, 4)."""
+    body, place = model.frames[frame]
+    per_mass = payload_parameters(
+        np.array(1.0),
+        LOAD.com,
+        LOAD.shape.second_moment_per_mass,
+    )
+    per_kg = np.tensordot(per_mass, pseudo_inertia_basis(), axes=1)
+    loaded = model.pseudo_inertia.copy()
+    loaded[body] += kg * place @ per_kg @ place.T
+    return loaded
+
+
 @pytest.mark.parametrize("joint", ["joint1", "joint2", "joint3", "joint4"])
 def test_the_torque_of_a_motion_of_all_joints(mujoco_arm, joint: str) -> None:
     robot = load_robot("open_manipulator_x")
@@ -262,44 +282,41 @@ def test_the_torque_of_a_motion_of_all_joints(mujoco_arm, joint: str) -> None:
     row = model.joint_names.index(joint)
     motion = [(q[:, n], v[:, n], a[:, n]) for n in range(4)]
     empty = joint_torque(model, motion, row, model.pseudo_inertia[None])[:, 0]
-    body, frame = model.frames[robot.payload_frame]
-    per_mass = payload_parameters(
-        np.array(1.0),
-        LOAD.com,
-        LOAD.shape.second_moment_per_mass,
-    )
-    loaded = model.pseudo_inertia.copy()
-    loaded[body] += (
-        0.08
-        * frame
-        @ np.tensordot(
-            per_mass,
-            pseudo_inertia_basis(),
-            axes=1,
-        )
-        @ frame.T
-    )
+    loaded = with_load(model, robot.payload_frame, 0.08)
     total = joint_torque(model, motion, row, loaded[None])[:, 0]
     for t in range(len(q)):
-        state = [
-            dict(
-                zip(
-                    arm_joints,
-                    values[t].tolist(),
-                    strict=True,
-                )
-            )
-            for values in (q, v, a)
-        ]
-        expected = inverse_dynamics(
-            mujoco_arm,
-            joint,
-            {**state[0], **fingers},
-            state[1],
-            state[2],
-        )
+        states = [dict(zip(arm_joints, values[t].tolist(), strict=True)) for values in (q, v, a)]
+        states[0] |= fingers
+        expected = inverse_dynamics(mujoco_arm, joint, *states)
         assert total[t] == pytest.approx(expected, rel=1e-9, abs=1e-10)
         assert abs(total[t] - empty[t]) > 1e-5
+
+
+def state_at(
+    time_s: float,
+    followed: Mapping[str, Followed],
+    moving: Collection[str],
+    held: Mapping[str, float],
+) -> tuple[dict[str, float], dict[str, float], dict[str, float]]:
+    """Angles, speeds and accelerations by joint.
+
+    Args:
+        time_s: When [s].
+        followed: Motions of joints.
+        moving: Those that move; the others are where they were at the start.
+        held: Angles of the joints that are not followed [rad].
+    """
+    position = dict(held)
+    velocity: dict[str, float] = {}
+    acceleration: dict[str, float] = {}
+    for name, motion in followed.items():
+        away, rate, bend = (float(part[0]) for part in motion.at(np.array([time_s])))
+        live = name in moving
+        position[name] = motion.start + away * live
+        velocity[name] = rate * live
+        acceleration[name] = bend * live
+    position["gripper_right_joint"] = position["gripper_left_joint"]
+    return position, velocity, acceleration
 
 
 def test_the_load_of_yielding_joints_is_the_difference_of_two_motions(
@@ -317,28 +334,12 @@ def test_the_load_of_yielding_joints_is_the_difference_of_two_motions(
         times, np.concatenate([run.before_position, run.position]), SIGMA, DRIVEN_SCALES
     )
     middles = begins + 0.5 * (begins[1] - begins[0])
+    followed = {**motions, run.joint: driven}
     for t in (0, 7, 20, len(begins) - 1):
-        at = middles[t : t + 1]
         states = []
-        for moves in (True, False):
-            position = dict(run.held)
-            velocity: dict[str, float] = {}
-            acceleration: dict[str, float] = {}
-            for name, motion in {**motions, run.joint: driven}.items():
-                away, rate, bend = (float(part[0]) for part in motion.at(at))
-                live = moves or name == run.joint
-                position[name] = motion.start + away * live
-                velocity[name], acceleration[name] = rate * live, bend * live
-            position["gripper_right_joint"] = position["gripper_left_joint"]
-            states.append(
-                inverse_dynamics(
-                    mujoco_arm,
-                    run.joint,
-                    position,
-                    velocity,
-                    acceleration,
-                )
-            )
+        for moving in (set(followed), {run.joint}):
+            state = state_at(middles[t], followed, moving, run.held)
+            states.append(inverse_dynamics(mujoco_arm, run.joint, *state))
         assert loads[t] @ [1.0, 0.08] == pytest.approx(
             states[0] - states[1],
             rel=1e-6,

@@ -46,30 +46,38 @@ def fitted(recordings: Path):
     )
 
 
-def test_held_out_residuals_are_those_of_a_fit_without_the_run(fitted) -> None:
+def predicted_without(
+    fitted,
+    out: int,
+) -> np.ndarray:
+    """Values of all unknowns by the other runs alone; the run's own fall back to their priors."""
     robot, prepared, problem, values = fitted
+    others = [run for row, run in enumerate(prepared) if row != out]
+    small = Problem(
+        robot,
+        others,
+        PayloadFacts(),
+        robot_unknowns(robot, others, Role.ESTIMATED),
+    )
+    solution = solvers.levenberg_marquardt(
+        small,
+        small.coordinates.internal(_moved(problem, small, values, out)[small.estimated])[None],
+        None,
+    )
+    found = small.all_values(small.coordinates.physical(solution.internal))[0]
+    predicted = problem.base.copy()
+    for unknown, value in zip(small.unknowns, found, strict=True):
+        if unknown.shared:
+            predicted[problem.index[unknown.key]] = value
+    return predicted
+
+
+def test_held_out_residuals_are_those_of_a_fit_without_the_run(fitted) -> None:
+    _, prepared, problem, values = fitted
     posterior = Posterior(problem, values)
     for out in (1, 4):
-        others = [run for row, run in enumerate(prepared) if row != out]
-        small = Problem(
-            robot,
-            others,
-            PayloadFacts(),
-            robot_unknowns(robot, others, Role.ESTIMATED),
-        )
-        solution = solvers.levenberg_marquardt(
-            small,
-            small.coordinates.internal(_moved(problem, small, values, out)[small.estimated])[None],
-            None,
-        )
-        found = small.all_values(small.coordinates.physical(solution.internal))[0]
-        # the run's own unknowns fall back to their priors
-        predicted = problem.base.copy()
-        for unknown, value in zip(small.unknowns, found, strict=True):
-            if unknown.shared:
-                predicted[problem.index[unknown.key]] = value
         q, _, _ = problem.simulate(
-            predicted[None],
+            predicted_without(fitted, out)[None],
             problem.estimated,
         )
         used = prepared[out].used

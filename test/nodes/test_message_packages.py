@@ -5,7 +5,8 @@ from __future__ import annotations
 import importlib
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -73,10 +74,27 @@ def environment(
         monkeypatch.delitem(sys.modules, name)
 
 
-def test_a_built_package_goes_over_dds(environment: dict[str, str]) -> None:
-    kinds = {
-        name: importlib.import_module(f"three_msgs.{name}") for name in ("msg", "srv", "action")
-    }
+@dataclass
+class Talk:
+    """A client, and the server that it talks with over DDS in another process."""
+
+    server: subprocess.Popen[bytes]
+    node: Any
+    executor: SingleThreadedExecutor
+
+    def spun_until(self, ready: Callable[[], Any]) -> bool:
+        """Whether it became so within a minute."""
+
+        def once() -> bool:
+            assert self.server.poll() is None, "the server has ended"
+            self.executor.spin_once(timeout_sec=0.05)
+            return bool(ready())
+
+        return wait_for(once, 60.0)
+
+
+@pytest.fixture
+def talk(environment: dict[str, str]) -> Iterator[Talk]:
     server = subprocess.Popen(
         [sys.executable, "-c", SERVER],
         env=environment,
@@ -86,57 +104,53 @@ def test_a_built_package_goes_over_dds(environment: dict[str, str]) -> None:
     node = rclpy.create_node("client", context=context)
     executor = SingleThreadedExecutor(context=context)
     executor.add_node(node)
+    yield Talk(server, node, executor)
+    server.kill()
+    server.wait()
+    executor.shutdown(timeout_sec=1.0)
+    node.destroy_node()
+    rclpy.shutdown(context=context)
 
-    def spun_until(ready: Any) -> bool:
-        def once() -> bool:
-            assert server.poll() is None, "the server has ended"
-            executor.spin_once(timeout_sec=0.05)
-            return bool(ready())
 
-        return wait_for(once, 60.0)
+def test_a_built_package_goes_over_dds(talk: Talk) -> None:
+    kinds = {
+        name: importlib.import_module(f"three_msgs.{name}") for name in ("msg", "srv", "action")
+    }
+    masses: list[Any] = []
+    talk.node.create_subscription(
+        kinds["msg"].Mass,
+        "/mass",
+        masses.append,
+        LATCHED,
+    )
+    assert talk.spun_until(lambda: masses)
+    assert masses[0].mass != masses[0].mass
+    assert list(masses[0].reasons) == ["none"]
 
-    try:
-        masses: list[Any] = []
-        node.create_subscription(
-            kinds["msg"].Mass,
-            "/mass",
-            masses.append,
-            LATCHED,
-        )
-        assert spun_until(lambda: masses)
-        assert masses[0].mass != masses[0].mass
-        assert list(masses[0].reasons) == ["none"]
+    payload = kinds["srv"].SetPayload
+    client = talk.node.create_client(payload, "/set_payload")
+    assert talk.spun_until(client.service_is_ready)
+    answer = client.call_async(payload.Request(mass=2.5, center_of_gravity=[0.5, 0.25, 0.125]))
+    assert talk.spun_until(answer.done)
+    assert answer.result().success
 
-        payload = kinds["srv"].SetPayload
-        client = node.create_client(payload, "/set_payload")
-        assert spun_until(client.service_is_ready)
-        answer = client.call_async(payload.Request(mass=2.5, center_of_gravity=[0.5, 0.25, 0.125]))
-        assert spun_until(answer.done)
-        assert answer.result().success
-
-        count = kinds["action"].Count
-        heard: list[float] = []
-        action = ActionClient(node, count, "/count")
-        assert spun_until(action.server_is_ready)
-        sent = action.send_goal_async(
-            count.Goal(to=3), lambda message: heard.append(message.feedback.fraction)
-        )
-        assert spun_until(sent.done)
-        assert sent.result().accepted
-        result = sent.result().get_result_async()
-        assert spun_until(result.done)
-        mass = result.result().result.mass
-        assert (mass.mass, list(mass.interval), list(mass.reasons)) == (
-            1.5,
-            [1.0, 2.0],
-            ["one", "two"],
-        )
-    finally:
-        server.kill()
-        server.wait()
-        executor.shutdown(timeout_sec=1.0)
-        node.destroy_node()
-        rclpy.shutdown(context=context)
+    count = kinds["action"].Count
+    heard: list[float] = []
+    action = ActionClient(talk.node, count, "/count")
+    assert talk.spun_until(action.server_is_ready)
+    sent = action.send_goal_async(
+        count.Goal(to=3), lambda message: heard.append(message.feedback.fraction)
+    )
+    assert talk.spun_until(sent.done)
+    assert sent.result().accepted
+    result = sent.result().get_result_async()
+    assert talk.spun_until(result.done)
+    mass = result.result().result.mass
+    assert (mass.mass, list(mass.interval), list(mass.reasons)) == (
+        1.5,
+        [1.0, 2.0],
+        ["one", "two"],
+    )
 
 
 def test_what_does_not_compile_is_said(tmp_path: Path) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -859,24 +859,25 @@ def test_against_plain_equations_in_the_world(kind: str) -> None:
         )
 
 
-def of_mujoco(
-    p: np.ndarray,
+def text(*values: float) -> str:
+    """Numbers of an attribute of MuJoCo's."""
+    return " ".join(f"{value:.12g}" for value in values)
+
+
+def mujoco_scene(
+    value: Mapping[str, float],
     axis: np.ndarray,
     origin: np.ndarray,
-    times: np.ndarray,
-    torque: float,
-) -> tuple[np.ndarray, np.ndarray]:
-    """The joint and the sphere's place in the container, by MuJoCo with its own law of contact and implicit integrator."""
-    import mujoco
+) -> str:
+    """A box on a hinge with a sphere in it.
 
-    value = {name: p[0, row] for name, row in SPHERE_INDEX.items()}
+    Args:
+        value: Of the parameters, by name.
+        axis: Of the hinge, (3,).
+        origin: Of the hinge [m], (3,).
+    """
     half = BOX.inner_size / 2.0
     thick = 0.05
-    radius = BOX.radius
-
-    def text(*values: float) -> str:
-        return " ".join(f"{value:.12g}" for value in values)
-
     walls = ""
     for wall in range(6):
         along = np.arange(3) == wall // 2
@@ -888,8 +889,8 @@ def of_mujoco(
             0.0,
         )
         walls += f'<geom type="box" mass="0" contype="1" conaffinity="0" size="{text(*size)}" pos="{text(*pos)}"/>'
-    inertia = 0.4 * value["sphere_mass"] * radius**2
-    model = mujoco.MjModel.from_xml_string(f"""<mujoco>
+    inertia = 0.4 * value["sphere_mass"] * BOX.radius**2
+    return f"""<mujoco>
       <option timestep="1e-4" integrator="implicitfast" gravity="{text(0, 0, -G)}" cone="elliptic"/>
       <default><geom condim="3" friction="{value["friction"]} 0 0" solref="0.002 1"/></default>
       <worldbody>
@@ -899,9 +900,23 @@ def of_mujoco(
         </body>
         <body><freejoint/>
           <inertial pos="0 0 0" mass="{value["sphere_mass"]}" diaginertia="{text(inertia, inertia, inertia)}"/>
-          <geom type="sphere" size="{radius}" mass="0" contype="0" conaffinity="1"/>
+          <geom type="sphere" size="{BOX.radius}" mass="0" contype="0" conaffinity="1"/>
         </body>
-      </worldbody></mujoco>""")
+      </worldbody></mujoco>"""
+
+
+def of_mujoco(
+    p: np.ndarray,
+    axis: np.ndarray,
+    origin: np.ndarray,
+    times: np.ndarray,
+    torque: float,
+) -> tuple[np.ndarray, np.ndarray]:
+    """The joint and the sphere's place in the container, by MuJoCo with its own law of contact and implicit integrator."""
+    import mujoco
+
+    value = {name: p[0, row] for name, row in SPHERE_INDEX.items()}
+    model = mujoco.MjModel.from_xml_string(mujoco_scene(value, axis, origin))
     data = mujoco.MjData(model)
     start = p[0, [SPHERE_INDEX[f"start_{name}"] for name in "xyz"]]
     turned = Rotation.from_rotvec(value["q0"] * axis)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -219,51 +219,74 @@ def force_of_a_free_block(
     return -(EDGE**2) * stress(stretch, side)
 
 
+@dataclass(frozen=True)
+class FreeBlock:
+    """A gripper that closes on a block whose faces it does not hold.
+
+    Attributes:
+        bend: Of the travel, quadratic and cubic [m/rad^2, m/rad^3].
+        ratio: Poisson's.
+        eta: Viscosity [Pa s].
+        coulomb, viscous: Friction of the gripper [N m, N m s/rad].
+        gap: Before it touches [m].
+    """
+
+    bend: tuple[float, float]
+    ratio: float = 0.258
+    eta: float = 60.0
+    coulomb: float = 0.01
+    viscous: float = 0.02
+    gap: float = 0.001
+
+    def squeeze(self, q: float) -> float:
+        """Of the height, below 0 before it touches."""
+        closed = TRAVEL * q + self.bend[0] * q**2 + self.bend[1] * q**3
+        return (closed - self.gap) / EDGE
+
+    def load(self, q: float, v: float) -> float:
+        """On the joint [N m]."""
+        s = self.squeeze(q)
+        if s <= 0.0:
+            return 0.0
+        travel = TRAVEL + 2.0 * self.bend[0] * q + 3.0 * self.bend[1] * q**2
+        damping = EDGE * self.eta * travel * v * min(s / 1e-3, 1.0)
+        push = force_of_a_free_block(1.0 - s, 12000.0, self.ratio) + damping
+        return travel * max(push, 0.0)
+
+    def closing(self, torque: float, times: np.ndarray) -> np.ndarray:
+        """Angles at some times under a torque [N m], from rest."""
+
+        def rate(
+            _: float,
+            y: np.ndarray,
+        ) -> list[float]:
+            q, v = y
+            friction = self.coulomb * np.tanh(v / 0.01) + self.viscous * v
+            return [v, (torque - friction - self.load(q, v)) / 0.005]
+
+        angles: np.ndarray = solve_ivp(
+            rate,
+            (0.0, 1.0),
+            [0.0, 0.0],
+            "DOP853",
+            times,
+            rtol=1e-9,
+            atol=1e-11,
+            max_step=2e-3,
+        ).y[0]
+        return angles
+
+
 @pytest.mark.long
 @pytest.mark.parametrize("bend", BENDS)
 def test_against_another_integrator_and_the_closed_form(
     sliding: Response, bend: tuple[float, float]
 ) -> None:
     """scipy's DOP853 with the free block's force solved by hand, in place of table and RK4."""
-    ratio = 0.258
-    eta = 60.0
-    coulomb = 0.01
-    viscous = 0.02
-    gap = 0.001
-    torque = 0.06
-
-    def closed(q: float) -> float:
-        return TRAVEL * q + bend[0] * q**2 + bend[1] * q**3
-
-    def load_of_block(q: float, v: float) -> float:
-        s = max(closed(q) - gap, 0.0) / EDGE
-        if s <= 0.0:
-            return 0.0
-        ratio_here = TRAVEL + 2.0 * bend[0] * q + 3.0 * bend[1] * q**2
-        ramp = min(s / 1e-3, 1.0)
-        damping = EDGE * eta * ratio_here * v * ramp
-        push = force_of_a_free_block(1.0 - s, 12000.0, ratio) + damping
-        return ratio_here * max(push, 0.0)
-
-    def rate(
-        _: float,
-        y: np.ndarray,
-    ) -> list[float]:
-        q, v = y
-        friction = coulomb * np.tanh(v / 0.01) + viscous * v
-        return [v, (torque - friction - load_of_block(q, v)) / 0.005]
-
+    block = FreeBlock(bend)
     times = np.linspace(0.05, 1.0, 20)
-    exact = solve_ivp(
-        rate,
-        (0.0, 1.0),
-        [0.0, 0.0],
-        "DOP853",
-        times,
-        rtol=1e-9,
-        atol=1e-11,
-        max_step=2e-3,
-    ).y[0]
+    torque = 0.06
+    exact = block.closing(torque, times)
     run = squeeze_run(
         sliding,
         times,
@@ -273,17 +296,17 @@ def test_against_another_integrator_and_the_closed_form(
         fine_step_s=2e-4,
     )
     p = parameters(
-        coulomb=coulomb,
-        viscous=viscous,
-        poissons_ratio=ratio,
-        block_viscosity=eta,
-        gap=gap,
+        coulomb=block.coulomb,
+        viscous=block.viscous,
+        poissons_ratio=block.ratio,
+        block_viscosity=block.eta,
+        gap=block.gap,
     )
     sim = SqueezeSimulator([replace(run, bend=bend)])
     q = sim.rollout(ONE, p)[0][0]
-    assert closed(exact.max()) - gap > 0.2 * EDGE
+    assert block.squeeze(exact.max()) > 0.2
     assert sim.squeeze(ONE, p, exact[None])[0] == pytest.approx(
-        [(closed(each) - gap) / EDGE for each in exact]
+        [block.squeeze(each) for each in exact]
     )
     np.testing.assert_allclose(q, exact, atol=2e-2 * COUNT)
 

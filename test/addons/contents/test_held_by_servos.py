@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 pytest.importorskip("mujoco")
-from random_arm import JOINTS, HiddenRobot, Load, simulate
+from random_arm import JOINTS, HiddenRobot, Load, Motion, simulate
 
 from proprio_ros.addons.contents import held_by_servos
 from proprio_ros.addons.contents.held_by_servos import Servo, forced_on, give_way
@@ -51,58 +51,77 @@ def calibrated(coulomb: float) -> Robot:
     )
 
 
+SHAKEN_FROM = {
+    "joint1": 0.0,
+    "joint2": 0.15,
+    "joint3": 1.2,
+    "joint4": -1.35,
+    "gripper_left_joint": 0.0,
+}
+COUNT_RAD = 2.0 * np.pi / 4096.0
+CYCLE_S = 0.025
+BEFORE = 20
+"""Samples before the onset."""
+
+
 def shaken(
     seed: int,
     coulomb: float,
 ) -> tuple[Robot, Run, Followed, Followed]:
     """The elbow swings 0.3 kg at 3 Hz; robot, run, and the true motions of elbow and shoulder."""
-    start = {
-        "joint1": 0.0,
-        "joint2": 0.15,
-        "joint3": 1.2,
-        "joint4": -1.35,
-        "gripper_left_joint": 0.0,
-    }
     hidden = HiddenRobot(
         torque_constant=(1.78,) * 4, armature=(0.012,) * 4, coulomb=(coulomb,) * 4, compliance=True
     )
     made = simulate(
-        hidden, "joint3", start, -0.33, 2.0, LOAD, shake=(0.12, 1.0 / 3.0), braked_s=0.0
+        hidden, "joint3", SHAKEN_FROM, -0.33, 2.0, LOAD, shake=(0.12, 1.0 / 3.0), braked_s=0.0
     )
-    times_s = np.arange(0.0, 2.0, 0.025)
-    rng = np.random.default_rng(seed)
-    before_s = np.arange(-20, 0) * 0.025
-    count = 2.0 * np.pi / 4096.0
-    read = np.stack(
-        [
-            np.interp(np.concatenate([before_s, times_s]), made.times_s, column)
-            for column in made.position.T
-        ],
-        axis=1,
+    run = shaken_run(readings(made, np.random.default_rng(seed)))
+    return calibrated(coulomb), run, true_motion(made, "joint3"), true_motion(made, "joint2")
+
+
+def readings(made: Motion, rng: np.random.Generator) -> np.ndarray:
+    """What noisy encoders say before and during the push [rad], (T, 4)."""
+    times_s = np.concatenate([np.arange(-BEFORE, 0) * CYCLE_S, np.arange(0.0, 2.0, CYCLE_S)])
+    columns = [np.interp(times_s, made.times_s, column) for column in made.position.T]
+    read = np.stack(columns, axis=1)
+    noise = 3e-4 * rng.standard_normal(read.shape)
+    counted: np.ndarray = COUNT_RAD * np.round((read + noise) / COUNT_RAD)
+    return counted
+
+
+def shaken_run(read: np.ndarray) -> Run:
+    """The run of those readings [rad], (T, 4)."""
+    held = {
+        name: float(np.mean(read[:BEFORE, n])) for n, name in enumerate(JOINTS) if name != "joint3"
+    }
+    return Run(
+        name="shake",
+        joint="joint3",
+        onset_ns=0,
+        times_s=np.arange(0.0, 2.0, CYCLE_S),
+        position=read[BEFORE:, 2],
+        before_times_s=np.arange(-BEFORE, 0) * CYCLE_S,
+        before_position=read[:BEFORE, 2],
+        held={**held, "gripper_left_joint": 0.0, "gripper_right_joint": 0.0},
+        held_span=dict.fromkeys(held, 0.0),
+        held_position={name: read[:, JOINTS.index(name)] for name in held},
+        input_times_s=np.zeros(1),
+        input_current_A=np.array([-0.33]),
+        duration_s=2.0,
+        source="/current_command",
     )
-    read = count * np.round((read + 3e-4 * rng.standard_normal(read.shape)) / count)
-    held = {name: float(np.mean(read[:20, n])) for n, name in enumerate(JOINTS) if name != "joint3"}
-    run = Run(
-        name="shake", joint="joint3", onset_ns=0, times_s=times_s, position=read[20:, 2], before_times_s=before_s,
-        before_position=read[:20, 2], held={**held, "gripper_left_joint": 0.0, "gripper_right_joint": 0.0},
-        held_span=dict.fromkeys(held, 0.0), held_position={name: read[:, JOINTS.index(name)] for name in held},
-        input_times_s=np.zeros(1), input_current_A=np.array([-0.33]), duration_s=2.0, source="/current_command",
-    )  # fmt: skip
+
+
+def true_motion(made: Motion, joint: str) -> Followed:
+    """Angles and speeds of a joint, each 2.5 ms."""
     grid = np.arange(0.0, 2.0, 0.0025)
+    column = JOINTS.index(joint)
     speed = np.gradient(made.position, made.times_s, axis=0)
-    at = [
-        [
-            np.interp(
-                grid,
-                made.times_s,
-                each[:, n],
-            )
-            for each in (made.position, speed)
-        ]
-        for n in (2, 1)
-    ]
-    elbow, shoulder = (Followed(grid, *each) for each in at)
-    return calibrated(coulomb), run, elbow, shoulder
+    return Followed(
+        grid,
+        np.interp(grid, made.times_s, made.position[:, column]),
+        np.interp(grid, made.times_s, speed[:, column]),
+    )
 
 
 def off(motion: Followed, truth: Followed) -> float:

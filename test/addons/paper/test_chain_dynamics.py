@@ -218,25 +218,29 @@ def test_acceleration(tree: str) -> None:
     )
 
 
+def bodies_of_joint(model: ReducedModel, armature: float) -> dict[str, float]:
+    """Inertia and load of one joint, g_a cos q + g_b sin q + g_c, as the one-joint law has them."""
+    angles = np.array([[0.0], [0.5 * np.pi], [np.pi]])
+    load = bias(model, angles, np.zeros((3, 1)))[:, 0]
+    constant = 0.5 * (load[0] + load[2])
+    return {
+        "inertia": mass_matrix(model, [[0.0]])[0, 0, 0] + armature,
+        "gravity_cos": load[0] - constant,
+        "gravity_sin": load[1] - constant,
+        "gravity_constant": constant,
+    }
+
+
 @pytest.mark.long
 @pytest.mark.parametrize("integrator", ["rk4", "semi_implicit"])
 def test_one_joint_is_the_one_joint_law(integrator: str) -> None:
     """Dry and load-dependent friction, supply limit, delay and finer steps near standstill, in another implementation."""
     ours = reduced(random_urdf((-1,), 4))
     assert ours.kinds == ("revolute",)
-    angles = np.array([[0.0], [0.5 * np.pi], [np.pi]])
-    load = bias(ours, angles, np.zeros((3, 1)))[:, 0]  # g_a cos q + g_b sin q + g_c
-    constant = 0.5 * (load[0] + load[2])
     law = {"torque_constant": 1.7, "coulomb": 0.03, "viscous": 0.01, "load_friction": 0.02}
     start = {"delay": 0.004, "q0": 0.5, "v0": -0.1}
     row = np.zeros((1, len(PARAMETERS)))
-    row[0, :4] = (
-        mass_matrix(ours, [[0.0]])[0, 0, 0] + 0.012,
-        load[0] - constant,
-        load[1] - constant,
-        constant,
-    )
-    for name, value in {**law, **start}.items():
+    for name, value in {**bodies_of_joint(ours, 0.012), **law, **start}.items():
         row[0, INDEX[name]] = value
     times = np.linspace(0.001, 0.6, 20)
     switches = np.array([0.0, 0.21])

@@ -7,6 +7,9 @@ Faces slip, so that every mesh says the same; several currents, as a probe makes
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
+
 import numpy as np
 import pytest
 from scipy.optimize import least_squares
@@ -177,6 +180,83 @@ def test_explicit_squeezes_identified_by_the_quasi_static_solver(
     assert told_ratio.value == pytest.approx(ratio, abs=0.02)
 
 
+FRAMES = 40
+
+
+def quasi_static(
+    robot: Robot,
+    table: Response,
+    current_A: float,
+    modulus: float,
+    ratio: float,
+) -> np.ndarray:
+    """Shaft angles at the end of every frame by the table and RK4 [rad], shape (frames,).
+
+    Args:
+        robot: Whose gripper it is.
+        table: Of the block.
+        current_A: Of its motor.
+        modulus: Young's [Pa].
+        ratio: Poisson's.
+    """
+    p = np.zeros((1, len(SQUEEZE_PARAMETERS)))
+    values = {
+        "inertia": DRIVE["armature"],
+        "torque_constant": DRIVE["torque_constant"],
+        "viscous": DRIVE["viscous"],
+        "youngs_modulus": modulus,
+        "poissons_ratio": ratio,
+    }
+    for name, value in values.items():
+        p[0, SQUEEZE_INDEX[name]] = value
+    times_s = np.arange(1, FRAMES + 1) * FRAME_S
+    joint = JointRun(
+        times_s, np.zeros(1), np.array([current_A]), step_s=1 / 960, fine_step_s=1 / 960
+    )
+    run = SqueezeRun(joint, EDGE, EDGE**2, travel(robot), table)
+    angles: np.ndarray = SqueezeSimulator([run]).rollout(np.zeros(1, dtype=np.int32), p)[0][0]
+    return angles
+
+
+@dataclass(frozen=True)
+class ExplicitFit:
+    """Fits the explicit solver to squeezes; a point is the logarithm of Young's modulus, and Poisson's ratio.
+
+    Attributes:
+        robot: Whose gripper it is.
+        pushed: Current of each squeeze [A].
+        recorded: Angles of all of them [rad], (N,).
+        mass: Of the cube [kg].
+        substeps: Of a frame.
+    """
+
+    robot: Robot
+    pushed: Sequence[float]
+    recorded: np.ndarray
+    mass: float
+    substeps: int
+
+    def simulated(self, points: np.ndarray) -> np.ndarray:
+        """Angles of all squeezes [rad], (W, N), at points (W, 2)."""
+        moduli = np.stack([np.exp(points[:, 0]), points[:, 1]], axis=1)
+        angles = [
+            explicit(self.robot, FRAMES, current_A, moduli, self.mass, self.substeps)
+            for current_A in self.pushed
+        ]
+        return np.hstack(angles)
+
+    def residual(self, point: np.ndarray) -> np.ndarray:
+        """In mrad, (N,)."""
+        return (self.simulated(point[None])[0] - self.recorded) / 1e-3
+
+    def jacobian(self, point: np.ndarray) -> np.ndarray:
+        """Of the residual by central differences, (N, 2)."""
+        step = 1e-4
+        around = point + step * np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]])
+        q = self.simulated(around)
+        return (q[:2] - q[2:]).T / (2.0 * step * 1e-3)
+
+
 @pytest.mark.long
 @pytest.mark.parametrize("cube", CUBES)
 def test_quasi_static_squeezes_identified_by_the_explicit_solver(
@@ -184,56 +264,20 @@ def test_quasi_static_squeezes_identified_by_the_explicit_solver(
 ) -> None:
     modulus, ratio, mass = CUBES[cube]
     # short enough steps for ten times the modulus
-    frames = 40
     substeps = {"light": 96, "heavy": 192}[cube]
-    times_s = np.arange(1, frames + 1) * FRAME_S
-    p = np.zeros((1, len(SQUEEZE_PARAMETERS)))
-    for name, value in {
-        "inertia": DRIVE["armature"], "torque_constant": DRIVE["torque_constant"], "viscous": DRIVE["viscous"],
-        "youngs_modulus": modulus, "poissons_ratio": ratio,
-    }.items():  # fmt: skip
-        p[0, SQUEEZE_INDEX[name]] = value
     pushed = currents_A(robot, table, modulus, ratio)[::2]
-    recorded = []
-    for current_A in pushed:
-        joint = JointRun(
-            times_s, np.zeros(1), np.array([current_A]), step_s=1 / 960, fine_step_s=1 / 960
-        )
-        run = SqueezeRun(
-            joint,
-            EDGE,
-            EDGE**2,
-            travel(robot),
-            table,
-        )
-        recorded.append(SqueezeSimulator([run]).rollout(np.zeros(1, dtype=np.int32), p)[0][0])
-
-    def simulated(points: np.ndarray) -> np.ndarray:
-        moduli = np.stack(
-            [
-                np.exp(points[:, 0]),
-                points[:, 1],
-            ],
-            axis=1,
-        )
-        return np.hstack(
-            [explicit(robot, frames, current_A, moduli, mass, substeps) for current_A in pushed]
-        )
-
-    def residual(point: np.ndarray) -> np.ndarray:
-        return (simulated(point[None])[0] - np.hstack(recorded)) / 1e-3
-
-    def jacobian(point: np.ndarray) -> np.ndarray:
-        step = 1e-4
-        around = point + step * np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]])
-        q = simulated(around)
-        return (q[:2] - q[2:]).T / (2.0 * step * 1e-3)
-
+    recorded = [quasi_static(robot, table, current_A, modulus, ratio) for current_A in pushed]
+    fit = ExplicitFit(robot, pushed, np.hstack(recorded), mass, substeps)
     bounds = ([np.log(modulus * 0.05), 0.0], [np.log(modulus * 20.0), 0.45])
     for factor in FACTORS:
-        begin = np.array([np.log(modulus * factor), 0.3])
         found = least_squares(
-            residual, begin, jacobian, bounds, x_scale=np.array([1.0, 0.3]), xtol=1e-6, max_nfev=40
+            fit.residual,
+            np.array([np.log(modulus * factor), 0.3]),
+            fit.jacobian,
+            bounds,
+            x_scale=np.array([1.0, 0.3]),
+            xtol=1e-6,
+            max_nfev=40,
         )
         assert np.exp(found.x[0]) == pytest.approx(modulus, rel=0.01), factor
         assert found.x[1] == pytest.approx(ratio, abs=0.02), factor
