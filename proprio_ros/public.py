@@ -48,6 +48,7 @@ MODULES: dict[str, tuple[str, ...]] = {
         "regression.online",
         "robot_calibration",
         "robot_unknowns",
+        "run_kinds",
         "solvers",
         "together",
         "unknowns",

@@ -52,9 +52,9 @@ from proprio_ros.identification.prepared_runs import (
 from proprio_ros.identification.problem import Problem
 from proprio_ros.identification.robot_unknowns import (
     PAYLOAD_TERMS,
-    RIPPLE_TERMS,
     load_unknowns,
 )
+from proprio_ros.identification.run_kinds import RIPPLE_TERMS
 from proprio_ros.identification.unknowns import Role
 from proprio_ros.quantity import Quantity
 from proprio_ros.records import Run

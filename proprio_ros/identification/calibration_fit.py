@@ -16,15 +16,10 @@ import numpy as np
 from proprio_ros.identification import solvers
 from proprio_ros.identification.fit import FitResult
 from proprio_ros.identification.posterior import Posterior
-from proprio_ros.identification.prepared_runs import (
-    FIRST_SWING_ERROR,
-    PreparedRun,
-)
+from proprio_ros.identification.prepared_runs import PreparedRun
 from proprio_ros.identification.problem import Problem
-from proprio_ros.identification.robot_unknowns import (
-    RISE,
-    robot_unknowns,
-)
+from proprio_ros.identification.robot_unknowns import robot_unknowns
+from proprio_ros.identification.run_kinds import FIRST_SWING_ERROR, RISE
 from proprio_ros.identification.scatter import median_spread
 from proprio_ros.identification.swings import (
     MISSED_SHARE,
@@ -262,7 +257,7 @@ def _starts(problem: Problem) -> np.ndarray:
 def with_another_rise(fitted: Fitted) -> Fitted:
     """Count what the swings would say if friction rose towards standstill in another way than the robot file has it.
 
-    The rise is kept in the fit (see ``KEPT_IN_A_SWING``), and known no better after it: the fit is made again with each of its
+    The rise is kept in the fit (see ``FreeSwing.kept``), and known no better after it: the fit is made again with each of its
     terms up to one standard deviation higher, and by what the others change they are uncertain, together with that term.
     """
     covariance = fitted.covariance.copy()

@@ -223,7 +223,7 @@ class Assessment:
 
         The posterior's mean moves by C P with the prior's: C the covariance, P the precision of the prior.
         """
-        if not self.known or self.runs[0].run.is_free_response:
+        if not self.known or "zero" in self.runs[0].kind.kept:
             return {}
         problem = self.opened.problem
         column = self.opened.column(self.name)

@@ -18,12 +18,8 @@ from proprio_ros.identification.coefficients import (
     arm_coefficients,
     slide_coefficients,
 )
-from proprio_ros.identification.locked_joints import (
-    Motion,
-    loads_of_yielding,
-    locked_motions,
-    rests_from,
-)
+from proprio_ros.identification.locked_joints import Motion
+from proprio_ros.identification.run_kinds import Loads, Push, kind_of
 from proprio_ros.quantity import MAD_TO_STD, Quantity
 from proprio_ros.records import Run
 from proprio_ros.robot import DriveTrain, Robot
@@ -32,12 +28,6 @@ from proprio_ros.sim.payload import (
     payload_parameters,
 )
 
-START_STD = 0.1  # how far off a free swing's first reading may be: next to nothing is assumed [rad]
-SLOPE_S = 0.08  # over which the velocity is taken with which a free swing begins [s]
-# what is taken for the error of a simulated swing until the swing shows it [rad]
-FIRST_SWING_ERROR = 0.02
-# below this speed the direction of a swing is not read off its samples for certain [rad/s]
-SLOW = 0.1
 FOLLOWED_SHARE = 0.5
 """Rank correlation of effort and command from which on a motor follows what its command scatters by."""
 LATE_S = 0.05  # an effort may be reported so long after its command
@@ -79,14 +69,13 @@ class PreparedRun:
     # whether the supply may limit the current inside the window, as far as the recording says
     limited: bool
     load: KnownLoad | None = None  # what the hand is known to hold; None: the payload to be weighed
-    # yielding_times_s, yielding_load: see ``loads_of_yielding``. In a free swing it is the load that each kilogram's
-    # weight puts on the gears, with the sign of the velocity, see ``_weight_on_gears``
-    yielding_times_s: np.ndarray | None = None
-    yielding_load: np.ndarray | None = None
+    loads: Loads = field(default_factory=Loads)  # what loads the joint beside its current
     # standard deviation of the motor's torque by what its command says otherwise than the motor did [N m]
     current_torque_std: float = 0.0
-    # payload that would load the gears as the arm does [kg]; only known of free swings
-    arm_as_payload: float = 0.0
+
+    @property
+    def kind(self) -> Push:
+        return kind_of(self.run)
 
     @property
     def times_s(self) -> np.ndarray:
@@ -95,17 +84,6 @@ class PreparedRun:
     @property
     def position(self) -> np.ndarray:
         return self.run.position[: self.used]
-
-    @property
-    def start_velocity(self) -> float:
-        """Slope of the first samples [rad/s]: with what a free swing about begins."""
-        first = max(int(np.searchsorted(self.times_s, SLOPE_S)), 3)
-        line = np.polyfit(
-            self.times_s[:first],
-            self.position[:first],
-            1,
-        )
-        return float(line[0])
 
     @property
     def travel(self) -> float:
@@ -206,22 +184,11 @@ def prepare_run(
     followed = _followed(run, velocity, drive)
     lower = joint.lower / drive.transmission
     upper = joint.upper / drive.transmission
-    counted = np.ones_like(followed) if past_fast or run.is_free_response else followed
+    counted = np.ones_like(followed) if past_fast else followed
     used, reason = _usable_window(run, velocity, counted, drive, lower, upper)
-    yielding_times_s = yielding_load = None
-    if motions:
-        where = load.facts if load is not None else facts or PayloadFacts()
-        yielding_times_s, yielding_load = loads_of_yielding(
-            robot, run, motions, where, drive.reading_std
-        )
-    arm_as_payload = 0.0
-    if run.is_free_response and coefficients.payload.any():
-        facts_of_it = (
-            load.facts if load is not None and load.mass > 0.0 else facts or PayloadFacts()
-        )
-        arm_as_payload, per_kg = _weight_on_gears(run, coefficients, facts_of_it)
-        yielding_times_s = run.times_s
-        yielding_load = np.stack([np.zeros_like(per_kg), per_kg], axis=1)
+    kind = kind_of(run)
+    # of nothing it does not matter where it is
+    held = load.facts if load is not None and load.mass > 0.0 else facts or PayloadFacts()
     return PreparedRun(
         run,
         used,
@@ -229,12 +196,10 @@ def prepare_run(
         drive,
         coefficients,
         _sigma(robot, run, velocity[:used]),
-        _rest(robot, run, drive),
-        limited=not run.is_free_response and not followed[1:used].all(),
+        kind.rest(robot, run, drive),
+        limited=not followed[1:used].all(),
         load=load,
-        yielding_times_s=yielding_times_s,
-        yielding_load=yielding_load,
-        arm_as_payload=arm_as_payload,
+        loads=kind.loads(robot, run, coefficients, motions, held),
         current_torque_std=drive.torque_constant.value * command_std_A,
     )
 
@@ -257,9 +222,7 @@ def _reduced(
     if robot.model.joint(run.joint).kind == "prismatic":
         return run, slide_coefficients(robot, run), {}
     coefficients = arm_coefficients(robot, run, others)
-    stood, motions = (
-        ({}, {}) if run.is_free_response else locked_motions(robot, run, coefficients.pose)
-    )
+    stood, motions = kind_of(run).standing(robot, run, coefficients.pose)
     # the recorded mean counts a slip on the way to where a joint was held
     if any(stood[name] != run.held[name] for name in stood):
         run = replace(run, held={**run.held, **stood})
@@ -279,60 +242,7 @@ def _sigma(robot: Robot, run: Run, velocity: np.ndarray) -> np.ndarray:
         )
     reading = robot.residual_scale * robot.drive_trains[run.joint].reading_std
     sigma: np.ndarray = np.hypot(reading, velocity * jitter)
-    return (
-        np.hypot(sigma, robot.swing_error or FIRST_SWING_ERROR) if run.is_free_response else sigma
-    )
-
-
-def _rest(robot: Robot, run: Run, drive: DriveTrain) -> Quantity:
-    """Where the joint was before the onset; of a free swing, where it begins."""
-    if run.is_free_response:
-        return Quantity(float(run.position[0]), START_STD)
-    resting = run.before_position[rests_from(run.before_times_s, run.before_position, drive) :]
-    if len(resting) == 0:
-        return Quantity(
-            float(run.position[0]),
-            3.0 * (robot.residual_scale * drive.reading_std),
-        )
-    # at rest the rounding error repeats, so only the noise averages out
-    noise = drive.encoder_noise / np.sqrt(len(resting))
-    return Quantity(
-        float(np.mean(resting)),
-        float(np.hypot(drive.encoder_resolution / np.sqrt(12.0), noise)),
-    )
-
-
-def _weight_on_gears(
-    run: Run, coefficients: Coefficients, facts: PayloadFacts
-) -> tuple[float, np.ndarray]:
-    """What friction that grows with the load acts on in a free swing.
-
-    With no current the gears carry the weight, and lose part of it in the direction of motion. Where the joint is and which way it
-    goes is read off the recording, so that this friction is a known load times one unknown.
-
-    Returns:
-        The payload [kg] that weighs on the joint as the arm does, and the size of the moment of 1 kg with the sign of the
-        velocity at each sample [N m/kg], shape (K,).
-    """
-    _, cos, sin, constant = coefficients.per_kg(facts)
-    arm = float(np.hypot(coefficients.arm[1], coefficients.arm[2]))
-    width = max(
-        round(SLOPE_S / float(np.median(np.diff(run.times_s)))) | 1,
-        3,
-    )
-    smooth = np.convolve(
-        np.pad(
-            run.position,
-            width // 2,
-            mode="edge",
-        ),
-        np.full(width, 1.0 / width),
-        "valid",
-    )
-    side = np.tanh(np.gradient(smooth, run.times_s) / SLOW)
-    q = run.position
-    moment = np.abs(cos * np.cos(q) + sin * np.sin(q) + constant)
-    return arm / max(float(np.hypot(cos, sin)), 1e-12), moment * side
+    return np.hypot(sigma, kind_of(run).model_error(robot))
 
 
 def _undelivered_A(robot: Robot, run: Run) -> float:
@@ -356,11 +266,7 @@ def _steadied(run: Run, drive: DriveTrain) -> tuple[Run, float]:
     A command that scatters from row to row while the motor reports a steady current was recorded with an error of its own in every
     row. A run without efforts, or whose effort follows, comes back as it is, with 0.
     """
-    if (
-        run.is_free_response
-        or run.reported_effort is None
-        or len(run.input_current_A) < FEWEST_NOISY
-    ):
+    if run.reported_effort is None or len(run.input_current_A) < FEWEST_NOISY:
         return run, 0.0
     at = np.searchsorted(run.input_times_s, run.times_s, side="right") - 1
     command = run.input_current_A[at.clip(0)]
@@ -423,12 +329,14 @@ def _ranks(values: np.ndarray) -> np.ndarray:
 
 
 def _followed(run: Run, velocity: np.ndarray, drive: DriveTrain) -> np.ndarray:
-    """At which samples the motor reported the commanded current, shape (K,); False where nothing was reported.
+    """At which samples the motor reported the commanded current, shape (K,); False where nothing was reported, though commanded.
 
     The reported effort is compared with the command in its own unit: what the two have to do with each other is read off the
     slow samples, where the supply limits nothing.
     """
     blind = np.zeros(len(run.times_s), dtype=bool)
+    if not run.input_current_A.any():
+        return ~blind
     if run.reported_effort is None:
         return blind
     command = run.input_current_A[

@@ -26,15 +26,11 @@ from proprio_ros.identification.moving_part import (
 from proprio_ros.identification.prepared_runs import PreparedRun
 from proprio_ros.identification.robot_unknowns import (
     DRIVE_TERMS,
-    KEPT_IN_A_SWING,
-    NOT_IN_A_SWING,
-    OF_A_SWING,
     PAYLOAD_TERMS,
-    RIPPLE_TERMS,
-    RISE,
     of_one_kind,
     prior_of,
 )
+from proprio_ros.identification.run_kinds import RIPPLE_TERMS
 from proprio_ros.identification.unknowns import (
     Coordinates,
     Role,
@@ -56,7 +52,9 @@ _BEND_THE_PARAMETERS = {
     "zero",
     "arm_scale",
     *RIPPLE_TERMS,
-    *OF_A_SWING,
+    "friction_change",
+    "moment_change",
+    "swing_zero",
 }
 """Unknowns on which the simulator's parameters depend non-linearly."""
 
@@ -178,8 +176,8 @@ class Problem:
         owner = unknown.scope
         if unknown.kind in PAYLOAD_TERMS:
             return run.load is None
-        kept = unknown.kind in KEPT_IN_A_SWING and owner == run.run.joint
-        if run.run.is_free_response and (kept or unknown.kind in NOT_IN_A_SWING):
+        kept = unknown.kind in run.kind.kept and owner == run.run.joint
+        if kept or unknown.kind in run.kind.unneeded:
             return False
         match KINDS[unknown.kind].of:
             case "run":
@@ -263,7 +261,7 @@ class Problem:
 
     def _ripple_rows(self, run: PreparedRun) -> tuple[int, int]:
         """Columns of the unknowns of the encoder's once-per-turn error, -1 where there are none."""
-        if run.run.is_free_response:
+        if "ripple_cos" in run.kind.kept:
             return -1, -1
         of_cos = self.index.get(("ripple_cos", run.run.joint), -1)
         of_sin = self.index.get(("ripple_sin", run.run.joint), -1)
@@ -318,16 +316,16 @@ class Problem:
         """Current, and the load of yielding joints: stamped when they were read, so it is earlier by the delay."""
         times_s = run.run.input_times_s
         current_A = run.run.input_current_A
-        if run.yielding_times_s is None or run.yielding_load is None:
+        if not len(run.loads.times_s):
             return times_s, current_A, None
-        begins = run.yielding_times_s - self.robot.delay.value
+        begins = run.loads.times_s - self.robot.delay.value
         begins[0] = min(begins[0], 0.0)
         union = np.union1d(times_s, begins[begins > 0.0])
         current = current_A[np.searchsorted(times_s, union, side="right") - 1]
         return (
             union,
             current,
-            run.yielding_load[np.searchsorted(begins, union, side="right") - 1],
+            run.loads.load[np.searchsorted(begins, union, side="right") - 1],
         )
 
     def _reach(self, key: Key) -> float:
@@ -360,16 +358,15 @@ class Problem:
         part = self._moving_part(row, values, payload)
         p[:, _GRAVITY_ROWS] = part.load
         dp[:, _GRAVITY_ROWS] = part.by_unknown
-        if run.run.is_free_response:
-            for kind in RISE:
-                column = self.index[kind, run.run.joint]
-                p[:, INDEX[kind]] = self.base[column]
+        for kind in run.kind.kept_rise:
+            column = self.index[kind, run.run.joint]
+            p[:, INDEX[kind]] = self.base[column]
         for key, parameter in self._direct(row).items():
             column = self.index[key]
             p[:, INDEX[parameter]] += values[:, column]
             dp[:, INDEX[parameter], column] = 1.0
         self._disturb(row, p, dp, values)
-        if run.run.is_free_response:
+        if ("friction_change", row) in self.index:
             self._change_friction(row, p, dp, values)
         elif run.load is None:
             mass = self.index["payload_mass"]
@@ -388,9 +385,8 @@ class Problem:
         direct["onset", row] = "delay"
         direct["q0", row] = "q0"
         direct["v0", row] = "v0"
-        if not self.runs[row].run.is_free_response:
-            return direct
-        left_out = (*NOT_IN_A_SWING, *KEPT_IN_A_SWING)
+        kind = self.runs[row].kind
+        left_out = (*kind.unneeded, *kind.kept)
         return {key: to for key, to in direct.items() if to not in left_out}
 
     def _moving_part(
@@ -420,13 +416,13 @@ class Problem:
             [at[key] for key in coefficients.links],
         )
         zero = at.get(("zero", run.run.joint))
-        if zero is not None and run.run.is_free_response:
-            own = at["swing_zero", row]
+        own = at.get(("swing_zero", row))
+        if zero is not None and own is not None:
             part.turn(self.base[zero] + values[:, own], own)
         elif zero is not None:
             part.turn(values[:, zero], zero)
-        if run.run.is_free_response:
-            change = at["moment_change", row]
+        change = at.get(("moment_change", row))
+        if change is not None:
             part.scale_gravity(1.0 + values[:, change], change)
         return part
 
@@ -477,7 +473,7 @@ class Problem:
             dp[:, INDEX[kind], change] = values[:, at[kind, joint]]
         run = self.runs[row]
         load_friction = at["load_friction", joint]
-        mass = run.arm_as_payload + (
+        mass = run.loads.arm_as_payload + (
             values[:, at["payload_mass"]] if run.load is None else run.load.mass
         )
         lost = values[:, load_friction]
@@ -783,6 +779,6 @@ def _known_together(
         return of_one_kind(robot, estimated)
     if calibration.swing_error > 0.0:
         calibration = calibration.given(
-            {(kind, run.run.joint) for run in runs if run.run.is_free_response for kind in RISE}
+            {(kind, run.run.joint) for run in runs for kind in run.kind.kept_rise}
         )
     return calibration.keys, calibration.covariance

@@ -131,7 +131,7 @@ def _new_runs(
     """The runs that can be used; ConfigurationError where one of them is in the old calibration already."""
 
     def refused(run: PreparedRun) -> str:
-        if not run.run.is_free_response and run.run.joint in old.driven:
+        if "torque_constant" not in run.kind.unneeded and run.run.joint in old.driven:
             return ""
         return f"{run.run.joint} was not driven when the robot was calibrated"
 

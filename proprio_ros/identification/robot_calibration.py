@@ -372,7 +372,7 @@ def _driven_one_way(robot: Robot, runs: Sequence[PreparedRun]) -> dict[str, bool
     ways: dict[str, set[bool]] = {}
     for run in runs:
         is_open = run.drive.torque_constant.std > 0.0 and run.drive.coulomb.std > 0.0
-        both_ways = run.run.is_free_response or robot.model.joint(run.run.joint).kind == "prismatic"
+        both_ways = run.kind.both_ways or robot.model.joint(run.run.joint).kind == "prismatic"
         if is_open and not both_ways:
             ways.setdefault(run.run.joint, set()).add(run.travel > 0.0)
     return {joint: seen.pop() for joint, seen in ways.items() if len(seen) == 1}

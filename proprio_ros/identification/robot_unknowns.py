@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -13,10 +12,10 @@ from proprio_ros.identification.prepared_runs import (
     PreparedRun,
     joints_of,
 )
+from proprio_ros.identification.run_kinds import RIPPLE_TERMS
 from proprio_ros.identification.unknowns import Role, Unknown
 from proprio_ros.kinds import Key, Scope
 from proprio_ros.quantity import Quantity
-from proprio_ros.records import MEASURED_EFFORT
 from proprio_ros.robot import Robot
 from proprio_ros.sim.payload import PayloadFacts
 
@@ -39,28 +38,8 @@ DRIVE_TERMS = (
 """Fields of a ``DriveTrain`` that are unknowns of the driven joint."""
 # a bump of friction narrower than this is over within a sample of any push [rad/s]
 SLOWEST_STRIBECK = 0.02
-RIPPLE_TERMS = ("ripple_cos", "ripple_sin")
-"""The encoder's once-per-turn error: a magnet that sits off its axis adds ``a cos q + b sin q`` to the reading [rad]."""
-START_VELOCITY_STD = 2.0
-"""How far off the slope of a free swing's first samples may be: next to nothing is assumed [rad/s]."""
-NOT_IN_A_SWING = (
-    "torque_constant",
-    "delay",
-)  # without a current, nothing depends on these
-RISE = (
-    "stribeck",
-    "stribeck_velocity",
-)  # how dry friction rises towards standstill
-KEPT_IN_A_SWING = ("zero", *RIPPLE_TERMS, *RISE)
-"""Of the swinging joint, what stays where the file has it: its effect is the same in every swing of the joint, so that what is
-learnt from the swings takes it in, while as unknowns they would bend to whatever friction no law follows. What another rise would
-have made of the rest is in a calibration's covariance; the next swing of the joint, whose rise is the same, is fitted given it."""
-OF_A_SWING = ("friction_change", "moment_change", "swing_zero")
-"""What each swing of a joint has of its own: all its friction is by a factor another, its weight, and where the joint's zero is."""
-MOMENT_REPEATS = 0.015
-"""Standard deviation of gravity's moment over inertia between swings of one joint with one load, relative: masses of servos that
-were let go repeat to 1.9 to 4.5 %, which is 1 to 2 % of it where the rotor is half of the inertia."""
-ZERO_REPEATS = 0.3  # of a zero as well as the file knows it, what differs from swing to swing
+BOUNDS = {"onset": (-0.1, 0.1), "disturbance": (-np.inf, np.inf)}
+"""Of what differs from run to run, where it is no share [s, N m]."""
 ZEROS_BESIDE = 5.0
 """How many times as far as usual zeros are let go where a known load beside the object tells them.
 
@@ -191,45 +170,21 @@ def _shared_unknowns(robot: Robot, runs: Sequence[PreparedRun]) -> list[Unknown]
 
 
 def _of_run(robot: Robot, row: int, run: PreparedRun, drive_role: Role) -> list[Unknown]:
-    """Where a run began, how its onset and torque differ from other runs', and what a free swing has of its own."""
-    swing = run.run.is_free_response
-    velocity = (run.start_velocity, START_VELOCITY_STD) if swing else (0.0, robot.start_velocity)
+    """Where a run began, how its onset and torque differ from other runs', and what its kind has of its own."""
     start = [
-        Unknown("q0", run.rest.value, run.rest.std, scope=row),
-        Unknown("v0", *velocity, scope=row),
+        _from_quantity("q0", row, run.rest),
+        _from_quantity("v0", row, run.kind.start_velocity(robot, run)),
     ]
-    repeats: dict[str, float] = {}
-    if swing:
-        repeats = {
-            "friction_change": robot.friction_spread,
-            "moment_change": MOMENT_REPEATS,
-            "swing_zero": ZERO_REPEATS * robot.drive_trains[run.run.joint].zero.std,
-        }
     differs = []
-    for kind, std in repeats.items():
-        differs.append(Unknown(kind, 0.0, std, -0.9, scope=row))
-    differs.append(
-        Unknown(
-            "onset",
-            0.0,
-            onset_std(robot, run),
-            -0.1,
-            0.1,
-            scope=row,
-        )
-    )
-    # a swing's friction differs, not a torque that pushes one way: that would take the place of the weight
-    disturbance = 0.0 if swing else math.hypot(robot.torque_disturbance, run.current_torque_std)
-    differs.append(Unknown("disturbance", 0.0, disturbance, scope=row))
+    for kind, std in run.kind.repeats(robot, run).items():
+        bounds = BOUNDS.get(kind, (-0.9, np.inf))
+        differs.append(Unknown(kind, 0.0, std, *bounds, scope=row))
     return start + [unknown.at_role(drive_role) for unknown in differs]
 
 
 def prior_of(robot: Robot, runs: Sequence[PreparedRun]) -> Calibration | None:
-    """What a calibration says of runs that it was not made of: zeros may be others, the rest is the same.
-
-    A free swing has an unknown of its own for where its zero is.
-    """
-    if robot.calibration is None or any(run.run.is_free_response for run in runs):
+    """What a calibration says of other runs: zeros may be others where a fit follows them, the rest is the same."""
+    if robot.calibration is None or any("zero" in run.kind.kept for run in runs):
         return robot.calibration
     return robot.calibration.with_other_zeros(zero_repeat_of(robot, runs))
 
@@ -242,25 +197,6 @@ def zero_repeat_of(robot: Robot, runs: Sequence[PreparedRun]) -> float:
 def has_known_load(runs: Sequence[PreparedRun]) -> bool:
     """Whether one of the runs is of an empty hand or a reference, which tells where zeros are today."""
     return any(run.load is not None for run in runs)
-
-
-def onset_std(robot: Robot, run: PreparedRun) -> float:
-    """How the delay differs from run to run.
-
-    Where the input is measured effort, its onset is only known to one period. Where joint states pause around it, whoever takes
-    commands may have paused, too, or not: then it may be anywhere in the pause.
-    """
-    if run.run.is_free_response:  # no command begins it
-        return 0.0
-    period = float(np.median(np.diff(run.run.times_s)))
-    pause = (
-        float(run.run.times_s[0] - run.run.before_times_s[-1])
-        if len(run.run.before_times_s)
-        else 0.0
-    )
-    of_measured = period / 2.0 if run.run.source == MEASURED_EFFORT else 0.0
-    of_pause = pause / 12.0**0.5 if pause > 2.5 * period else 0.0
-    return math.hypot(robot.onset_jitter_s, of_measured, of_pause)
 
 
 def _from_quantity(

@@ -14,7 +14,6 @@ from proprio_ros.identification.fit import FitResult
 from proprio_ros.identification.locked_joints import rests_from
 from proprio_ros.identification.prepared_runs import PreparedRun
 from proprio_ros.identification.reasons import Reason
-from proprio_ros.identification.robot_unknowns import onset_std
 from proprio_ros.records import MEASURED_EFFORT
 from proprio_ros.sim.joint import INDEX
 
@@ -44,8 +43,8 @@ def stamps_off(fit: FitResult) -> list[Reason]:
     parameters = every[0]
     found: list[Reason] = []
     for run, row in zip(problem.runs, parameters, strict=True):
-        # which comes in one message with the positions
-        if run.run.is_free_response or run.run.source == MEASURED_EFFORT:
+        # where nothing was commanded, or it comes in one message with the positions
+        if "delay" in run.kind.unneeded or run.run.source == MEASURED_EFFORT:
             continue
         # what is shaken inside a container pushes back at any time
         if len(run.run.input_times_s) > 1:
@@ -55,7 +54,7 @@ def stamps_off(fit: FitResult) -> list[Reason]:
             continue
         period = float(np.median(np.diff(run.run.times_s)))
         spread = max(
-            STDS * float(np.hypot(robot.delay.std, onset_std(robot, run))),
+            STDS * float(np.hypot(robot.delay.std, run.kind.repeats(robot, run)["onset"])),
             0.5 * period,
         )
         change = (

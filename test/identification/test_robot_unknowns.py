@@ -11,7 +11,8 @@ from proprio_ros.calibration_files.pushes import Calibration
 from proprio_ros.experiment_design.candidates import still_run
 from proprio_ros.identification.prepared_runs import KnownLoad, PreparedRun, prepare_run
 from proprio_ros.identification.problem import Problem
-from proprio_ros.identification.robot_unknowns import load_unknowns, onset_std, robot_unknowns
+from proprio_ros.identification.robot_unknowns import load_unknowns, robot_unknowns
+from proprio_ros.identification.run_kinds import PUSH
 from proprio_ros.identification.unknowns import Role
 from proprio_ros.records import MEASURED_EFFORT
 from proprio_ros.robot import Robot, load_robot
@@ -62,8 +63,8 @@ def test_an_onset_that_is_only_measured_is_known_to_a_period(
         run=replace(runs[0].run, source=MEASURED_EFFORT),
     )
     period = float(np.median(np.diff(measured.run.times_s)))
-    assert onset_std(robot, measured) == pytest.approx(
-        float(np.hypot(onset_std(robot, runs[0]), 0.5 * period))
+    assert PUSH.repeats(robot, measured)["onset"] == pytest.approx(
+        float(np.hypot(PUSH.repeats(robot, runs[0])["onset"], 0.5 * period))
     )
 
 

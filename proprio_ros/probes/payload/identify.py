@@ -58,7 +58,8 @@ from proprio_ros.identification.posterior import Posterior, run_fits
 from proprio_ros.identification.prepared_runs import KnownLoad, PreparedRun, joints_of, prepare_run
 from proprio_ros.identification.problem import Problem
 from proprio_ros.identification.reasons import Reason
-from proprio_ros.identification.robot_unknowns import ZERO_REPEATS, ZEROS_BESIDE
+from proprio_ros.identification.robot_unknowns import ZEROS_BESIDE
+from proprio_ros.identification.run_kinds import ZERO_REPEATS
 from proprio_ros.identification.same_joint import (
     LIKELY_ANOTHER,
     TOGETHER,

@@ -1,0 +1,253 @@
+"""Kinds of runs: pushes and free swings, and what is known of a run by its kind.
+
+Whoever prepares, fits or judges a run asks its kind, and does not look which it is: where the joint began, what loads its gears,
+which unknowns the run has of its own, and which of the robot's it leaves as they are.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from proprio_ros.identification.coefficients import Coefficients
+from proprio_ros.identification.locked_joints import (
+    Motion,
+    loads_of_yielding,
+    locked_motions,
+    rests_from,
+)
+from proprio_ros.quantity import Quantity
+from proprio_ros.records import MEASURED_EFFORT, Run
+from proprio_ros.robot import DriveTrain, Robot
+from proprio_ros.sim.payload import PayloadFacts
+
+if TYPE_CHECKING:
+    from proprio_ros.identification.prepared_runs import PreparedRun
+
+START_STD = 0.1  # how far off a free swing's first reading may be: next to nothing is assumed [rad]
+START_VELOCITY_STD = 2.0
+"""How far off the slope of a free swing's first samples may be: next to nothing is assumed [rad/s]."""
+SLOPE_S = 0.08  # over which the velocity is taken with which a free swing begins [s]
+# what is taken for the error of a simulated swing until the swing shows it [rad]
+FIRST_SWING_ERROR = 0.02
+# below this speed the direction of a swing is not read off its samples for certain [rad/s]
+SLOW = 0.1
+RIPPLE_TERMS = ("ripple_cos", "ripple_sin")
+"""The encoder's once-per-turn error: a magnet that sits off its axis adds ``a cos q + b sin q`` to the reading [rad]."""
+RISE = ("stribeck", "stribeck_velocity")
+"""How dry friction rises towards standstill."""
+MOMENT_REPEATS = 0.015
+"""Standard deviation of gravity's moment over inertia between swings of one joint with one load, relative: masses of servos that
+were let go repeat to 1.9 to 4.5 %, which is 1 to 2 % of it where the rotor is half of the inertia."""
+ZERO_REPEATS = 0.3  # of a zero as well as the file knows it, what differs from swing to swing
+
+
+NONE = np.zeros(0)
+
+
+class Loads(NamedTuple):
+    """What loads a joint beside its current: instants from which on each holds [s], shape (S,), and loads, shape (S, 2).
+
+    See `loads_of_yielding`. In a free swing it is the load that each kilogram's weight puts on the gears, with the sign of the
+    velocity, and the payload that would load them as the arm does [kg].
+    """
+
+    times_s: np.ndarray = NONE
+    load: np.ndarray = NONE
+    arm_as_payload: float = 0.0
+
+
+Standing = tuple[dict[str, float], dict[str, Motion]]
+
+
+class Push:
+    """A current drives the joint from rest; also the base of other kinds."""
+
+    unneeded: tuple[str, ...] = ()
+    """Kinds of unknowns on which nothing in such a run depends."""
+    kept: tuple[str, ...] = ()
+    """Kinds of unknowns of its joint that stay where the robot file has them."""
+    kept_rise: tuple[str, ...] = ()
+    """Of these, the ones that the simulation takes."""
+    both_ways = False
+    """Whether friction acts in both directions within one run."""
+
+    def standing(self, robot: Robot, run: Run, joints: tuple[str, ...]) -> Standing:
+        """Where locked joints stood, and how they moved during the run, see `locked_motions`.
+
+        Args:
+            robot: Whose joints.
+            run: As recorded.
+            joints: Those that matter.
+        """
+        return locked_motions(robot, run, joints)
+
+    def rest(self, robot: Robot, run: Run, drive: DriveTrain) -> Quantity:
+        """Where the joint was when the run began [rad].
+
+        Args:
+            robot: How coarse its readings are.
+            run: At the motor's shaft.
+            drive: Of its joint.
+        """
+        resting = run.before_position[rests_from(run.before_times_s, run.before_position, drive) :]
+        if len(resting) == 0:
+            return Quantity(
+                float(run.position[0]),
+                3.0 * (robot.residual_scale * drive.reading_std),
+            )
+        # at rest the rounding error repeats, so only the noise averages out
+        noise = drive.encoder_noise / np.sqrt(len(resting))
+        return Quantity(
+            float(np.mean(resting)),
+            float(np.hypot(drive.encoder_resolution / np.sqrt(12.0), noise)),
+        )
+
+    def model_error(self, robot: Robot) -> float:
+        """What a simulation misses of each sample beside noise, as a standard deviation [rad]."""
+        return 0.0
+
+    def loads(
+        self,
+        robot: Robot,
+        run: Run,
+        coefficients: Coefficients,
+        motions: Mapping[str, Motion],
+        facts: PayloadFacts,
+    ) -> Loads:
+        """What loads the joint beside its current.
+
+        Args:
+            robot: Whose joints yield.
+            run: At the motor's shaft.
+            coefficients: Of the run.
+            motions: Of locked joints that yield.
+            facts: About what the hand holds.
+        """
+        if not motions:
+            return Loads()
+        noise = robot.drive_trains[run.joint].reading_std
+        return Loads(*loads_of_yielding(robot, run, motions, facts, noise))
+
+    def start_velocity(self, robot: Robot, run: PreparedRun) -> Quantity:
+        """With which the run began [rad/s]."""
+        return Quantity(0.0, robot.start_velocity)
+
+    def repeats(self, robot: Robot, run: PreparedRun) -> dict[str, float]:
+        """Standard deviations of what differs from run to run, by kind of unknown.
+
+        The delay: where the input is measured effort, its onset is only known to one period. Where joint states pause around it,
+        whoever takes commands may have paused, too, or not: then it may be anywhere in the pause.
+        """
+        period = float(np.median(np.diff(run.run.times_s)))
+        pause = (
+            float(run.run.times_s[0] - run.run.before_times_s[-1])
+            if len(run.run.before_times_s)
+            else 0.0
+        )
+        of_measured = period / 2.0 if run.run.source == MEASURED_EFFORT else 0.0
+        of_pause = pause / 12.0**0.5 if pause > 2.5 * period else 0.0
+        return {
+            "onset": math.hypot(robot.onset_jitter_s, of_measured, of_pause),
+            "disturbance": math.hypot(robot.torque_disturbance, run.current_torque_std),
+        }
+
+
+class FreeSwing(Push):
+    """Torque is off, and gravity moves the joint from wherever and however fast it is."""
+
+    unneeded = ("torque_constant", "delay")
+    kept_rise = RISE
+    kept = ("zero", *RIPPLE_TERMS, *RISE)
+    """Their effect is the same in every swing of the joint, so that what is learnt from the swings takes it in, while as unknowns
+    they would bend to whatever friction no law follows. What another rise would have made of the rest is in a calibration's
+    covariance; the next swing of the joint, whose rise is the same, is fitted given it."""
+    both_ways = True
+
+    def standing(self, robot: Robot, run: Run, joints: tuple[str, ...]) -> Standing:
+        """Locked joints are where they were recorded."""
+        return {}, {}
+
+    def rest(self, robot: Robot, run: Run, drive: DriveTrain) -> Quantity:
+        """Where the swing begins."""
+        return Quantity(float(run.position[0]), START_STD)
+
+    def model_error(self, robot: Robot) -> float:
+        """As the calibration has it, or as is usual."""
+        return robot.swing_error or FIRST_SWING_ERROR
+
+    def loads(
+        self,
+        robot: Robot,
+        run: Run,
+        coefficients: Coefficients,
+        motions: Mapping[str, Motion],
+        facts: PayloadFacts,
+    ) -> Loads:
+        """What friction that grows with the load acts on.
+
+        With no current the gears carry the weight, and lose part of it in the direction of motion. Where the joint is and which way
+        it goes is read off the recording, so that this friction is a known load times one unknown: the size of the moment of 1 kg
+        with the sign of the velocity at each sample [N m/kg]. The arm loads the gears as some payload would [kg].
+        """
+        if not coefficients.payload.any():
+            return Loads()
+        _, cos, sin, constant = coefficients.per_kg(facts)
+        arm = float(np.hypot(coefficients.arm[1], coefficients.arm[2]))
+        width = max(
+            round(SLOPE_S / float(np.median(np.diff(run.times_s)))) | 1,
+            3,
+        )
+        smooth = np.convolve(
+            np.pad(
+                run.position,
+                width // 2,
+                mode="edge",
+            ),
+            np.full(width, 1.0 / width),
+            "valid",
+        )
+        side = np.tanh(np.gradient(smooth, run.times_s) / SLOW)
+        q = run.position
+        moment = np.abs(cos * np.cos(q) + sin * np.sin(q) + constant)
+        per_kg = moment * side
+        return Loads(
+            run.times_s,
+            np.stack([np.zeros_like(per_kg), per_kg], axis=1),
+            arm / max(float(np.hypot(cos, sin)), 1e-12),
+        )
+
+    def start_velocity(self, robot: Robot, run: PreparedRun) -> Quantity:
+        """The slope of the first samples."""
+        first = max(int(np.searchsorted(run.times_s, SLOPE_S)), 3)
+        line = np.polyfit(
+            run.times_s[:first],
+            run.position[:first],
+            1,
+        )
+        return Quantity(float(line[0]), START_VELOCITY_STD)
+
+    def repeats(self, robot: Robot, run: PreparedRun) -> dict[str, float]:
+        """All friction is by a factor another, the weight, and where the joint's zero is.
+
+        No command begins it, and a torque that pushes one way would take the place of the weight.
+        """
+        return {
+            "friction_change": robot.friction_spread,
+            "moment_change": MOMENT_REPEATS,
+            "swing_zero": ZERO_REPEATS * robot.drive_trains[run.run.joint].zero.std,
+            "onset": 0.0,
+            "disturbance": 0.0,
+        }
+
+
+PUSH = Push()
+FREE_SWING = FreeSwing()
+
+
+def kind_of(run: Run) -> Push:
+    """The kind of a run as it was recorded."""
+    return FREE_SWING if run.is_free_response else PUSH
