@@ -19,10 +19,9 @@ from proprio_ros.identification.posterior import Posterior
 from proprio_ros.identification.prepared_runs import PreparedRun
 from proprio_ros.identification.problem import Problem
 from proprio_ros.identification.robot_unknowns import robot_unknowns
-from proprio_ros.identification.run_kinds import FIRST_SWING_ERROR, RISE
+from proprio_ros.identification.run_kinds import FREE_SWING, PUSH
 from proprio_ros.identification.scatter import median_spread
 from proprio_ros.identification.swings import (
-    MISSED_SHARE,
     missed_share,
     stamp_jitter,
     swing_error,
@@ -37,9 +36,6 @@ FRICTION_STARTS = (0.005, 0.02, 0.06)
 SWING_FRICTION_STARTS = (0.03, 0.1, 0.25)
 """The same for free swings, as shares of the largest gravity moment: the gears are driven from behind."""
 EVIDENCE_ROUNDS = 15
-SWING_ITERATIONS = 60
-"""Of the solver on free swings at most. Where a joint comes to a stop the cost has kinks, at which a step overshoots: the search
-must go on with shorter ones, or it ends where it has not arrived, and takes what it misses for the swings' noise."""
 PSEUDO_RUNS = 2.0  # weight of the robot file's word on what else differs from run to run, in runs
 # weight of the robot file's word on encoder noise and stamp jitter, in samples
 PSEUDO_SAMPLES = 10.0
@@ -112,6 +108,7 @@ class Fitted:
 
 def fit(robot: Robot, runs: Sequence[PreparedRun]) -> Fitted:
     """Maximum a posteriori of all unknowns, the noise by its evidence."""
+    kind = runs[0].kind
     noise = Noise(
         1.0,
         robot.stamp_jitter_s,
@@ -119,30 +116,27 @@ def fit(robot: Robot, runs: Sequence[PreparedRun]) -> Fitted:
         robot.start_velocity,
         robot.onset_jitter_s,
         robot.friction_spread,
+        kind.model_error(robot),
     )
-    swings = runs[0].run.is_free_response
-    if swings:
-        noise = replace(noise, swing_error=FIRST_SWING_ERROR)
     problem = _problem(robot, runs, noise)
-    most, again_most = (SWING_ITERATIONS, SWING_ITERATIONS) if swings else (40, 10)
     solution = solvers.levenberg_marquardt(
         problem,
         _starts(problem),
         problem.simulator.windows,
-        iterations=most,
+        iterations=kind.iterations,
     )
     values = FitResult.of(problem, solution).values
     approach = _Approach()
     for _ in range(EVIDENCE_ROUNDS):
         posterior = Posterior(problem, values)
         before = noise
-        noise = (_swing_evidence if swings else _evidence)(robot, problem, posterior, noise)
+        noise = _EVIDENCE[kind](robot, problem, posterior, noise)
         noise = approach.towards(noise, before)
         problem = _problem(robot, runs, noise)
         start = problem.coordinates.internal(values[problem.estimated][None])
         values = FitResult.of(
             problem,
-            solvers.levenberg_marquardt(problem, start, None, iterations=again_most),
+            solvers.levenberg_marquardt(problem, start, None, iterations=kind.iterations_again),
         ).values
         if noise.near(before):
             break
@@ -209,11 +203,10 @@ def _problem(robot: Robot, runs: Sequence[PreparedRun], noise: Noise) -> Problem
         "friction_spread",
     )
     robot = replace(robot, **{name: getattr(noise, name) for name in expected})
-    sigmas = [np.hypot(*_noise_parts(run, noise)) for run in runs]
-    if runs[0].run.is_free_response:
-        sigmas = [np.hypot(sigma, noise.swing_error) for sigma in sigmas]
-    pairs = zip(runs, sigmas, strict=True)
-    noisy = [replace(run, sigma=sigma) for run, sigma in pairs]
+    noisy = []
+    for run in runs:
+        sigma = np.hypot(*_noise_parts(run, noise))
+        noisy.append(replace(run, sigma=np.hypot(sigma, noise.swing_error)))
     return Problem(
         robot,
         noisy,
@@ -230,19 +223,7 @@ def _noise_parts(run: PreparedRun, noise: Noise) -> tuple[float, np.ndarray]:
 def _starts(problem: Problem) -> np.ndarray:
     """Solver coordinates to start from: the file's values at a few levels of friction, shape (S, F)."""
     coordinates = problem.coordinates
-    levels: Sequence[float] = FRICTION_STARTS
-    if problem.runs[0].run.is_free_response:
-        p, _ = problem.parameters(
-            problem.base[None],
-            problem.estimated[:1],
-        )
-        largest = float(
-            np.hypot(
-                p[..., INDEX["gravity_cos"]],
-                p[..., INDEX["gravity_sin"]],
-            ).max()
-        )
-        levels = [share * largest for share in SWING_FRICTION_STARTS]
+    levels = _LEVELS[problem.runs[0].kind](problem)
     starts = np.tile(coordinates.prior_mean, (len(levels), 1))
     for column, row in enumerate(problem.estimated):
         unknown = problem.unknowns[row]
@@ -254,15 +235,39 @@ def _starts(problem: Problem) -> np.ndarray:
     return coordinates.internal(starts)
 
 
+def _stated_levels(problem: Problem) -> Sequence[float]:
+    """Coulomb friction to start from [N m]."""
+    return FRICTION_STARTS
+
+
+def _levels_by_weight(problem: Problem) -> Sequence[float]:
+    """The same of free swings."""
+    p, _ = problem.parameters(
+        problem.base[None],
+        problem.estimated[:1],
+    )
+    largest = float(
+        np.hypot(
+            p[..., INDEX["gravity_cos"]],
+            p[..., INDEX["gravity_sin"]],
+        ).max()
+    )
+    return [share * largest for share in SWING_FRICTION_STARTS]
+
+
+_LEVELS = {PUSH: _stated_levels, FREE_SWING: _levels_by_weight}
+
+
 def with_another_rise(fitted: Fitted) -> Fitted:
-    """Count what the swings would say if friction rose towards standstill in another way than the robot file has it.
+    """Count what runs would say if friction rose towards standstill in another way than the robot file has it, where they keep it.
 
     The rise is kept in the fit (see ``FreeSwing.kept``), and known no better after it: the fit is made again with each of its
     terms up to one standard deviation higher, and by what the others change they are uncertain, together with that term.
     """
     covariance = fitted.covariance.copy()
+    kept = fitted.problem.runs[0].kind.kept_rise
     for column, row in enumerate(fitted.problem.estimated):
-        if fitted.problem.unknowns[row].kind in RISE:
+        if fitted.problem.unknowns[row].kind in kept:
             follows = _follows(fitted, column)
             covariance += np.outer(follows, follows)
             covariance[column, column] -= follows[column] ** 2  # its own was there before
@@ -284,9 +289,11 @@ def _follows(fitted: Fitted, column: int) -> np.ndarray:
         other = Problem(problem.robot, problem.runs, problem.facts, unknowns)
         now[column] = unknowns[row].value
         start = other.coordinates.internal(now[None])
-        found = solvers.levenberg_marquardt(other, start, None, iterations=SWING_ITERATIONS)
+        iterations = problem.runs[0].kind.iterations_again
+        found = solvers.levenberg_marquardt(other, start, None, iterations=iterations)
         now = other.coordinates.physical(found.internal)[0]
-        if missed_share(Posterior(other, other.all_values(now[None])[0])) > MISSED_SHARE:
+        missed = missed_share(Posterior(other, other.all_values(now[None])[0]))
+        if missed > problem.runs[0].kind.most_missed:
             break  # with so much of it the joint would not have swung like that
         follows = (now - first) / share
     return follows
@@ -419,6 +426,9 @@ def _swing_evidence(
         friction_spread=spread,
         swing_error=swing_error(posterior),
     )
+
+
+_EVIDENCE = {PUSH: _evidence, FREE_SWING: _swing_evidence}
 
 
 def of_runs(

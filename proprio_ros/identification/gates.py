@@ -178,7 +178,7 @@ def never_reversed(runs: Sequence[PreparedRun]) -> list[str]:
     for joint in joints_of(runs):
         mine = [run for run in runs if run.run.joint == joint]
         signs = {float(np.sign(run.travel)) for run in mine}
-        if len(signs) == 1:
+        if len(signs) == 1 and not mine[0].kind.both_ways:
             reasons.append(sentences.never_reversed(joint, upwards=signs == {1.0}))
     return reasons
 

@@ -50,13 +50,12 @@ from proprio_ros.identification.robot_unknowns import (
     DRIVE_TERMS,
     robot_unknowns,
 )
+from proprio_ros.identification.run_kinds import one_kind
 from proprio_ros.identification.swing_friction import (
     friction_of_swings,
 )
 from proprio_ros.identification.swings import (
     CHANGING,
-    MISSED_SHARE,
-    are_free_responses,
     missed_share,
 )
 from proprio_ros.identification.unknowns import Role
@@ -72,8 +71,8 @@ STRANGE = 4.0
 COARSE = 3.0
 UNSTEADY = 6.0
 """Torque from run to run over what the robot file expects, beyond which the model does not describe this robot either."""
-LATE_S, BEGINNING = 0.015, (0.03, 0.3)
-"""A push that begins so much later than most is looked at by itself; its beginning is this part of its way."""
+BEGINNING = (0.03, 0.3)
+"""Of the way of a push, the part that is its beginning."""
 # standard deviations of its prior by which an unknown may differ from the robot file unremarked
 FAR_FROM_FILE = 4.0
 # posterior over prior standard deviation above which the runs have not determined an unknown
@@ -123,7 +122,7 @@ def calibrate(
     usable = usable_runs(robot, runs, found)
     if not usable:
         return nothing_usable(robot, "every probed", len(runs), found)
-    swings = are_free_responses(usable)
+    one_kind(usable)
     if not any(u.shared and u.std > 0.0 for u in robot_unknowns(robot, usable, Role.ESTIMATED)):
         exactly = f"{robot.source.name} states every number of {', '.join(joints_of(usable))} as exactly known"
         raise ConfigurationError(
@@ -131,8 +130,7 @@ def calibrate(
         )
     progress(f"fitting {len(usable)} runs")
     fitted, left_out = _fit_what_agrees(robot, usable, progress)
-    if swings:
-        fitted = with_another_rise(fitted)
+    fitted = with_another_rise(fitted)
     learnt = _Learnt.of(robot, fitted)
     verdict, reasons, calibration = _verdict(
         robot,
@@ -140,7 +138,7 @@ def calibrate(
         left_out,
         len(usable),
     )
-    if swings and verdict is Verdict.ACCEPTED:
+    if verdict is Verdict.ACCEPTED:
         calibration = _with_own_friction(robot, fitted.problem.runs, calibration)
     reasons += _remarks(learnt, left_out, len(usable))
     found.notes += _notes(fitted, usable)
@@ -222,25 +220,15 @@ def _remarks(learnt: _Learnt, left_out: Sequence[str], count: int) -> list[str]:
     """Reasons to look closer, whatever the verdict."""
     fitted = learnt.fitted
     problem = fitted.problem
-    swings = are_free_responses(problem.runs)
     reasons = []
     if left_out:
         question = "was the hand as stated, and nothing in the way?"
         reasons.append(sentences.left_out(left_out, count, question))
-    # swings differ by more than a run says of itself: a good servo's loads would be doubted
-    if not swings:
-        reasons += _not_as_stated(
-            empty_hand(
-                problem,
-                fitted.values,
-                fitted.posterior,
-                references=True,
-            )
-        )
+    off = empty_hand(problem, fitted.values, fitted.posterior, references=True)
+    reasons += _not_as_stated(off, problem.runs[0].kind.most_pull)
     reasons += not_empty(learnt.hand, MAYBE_NOT_EMPTY, NOT_EMPTY)
     reasons += _far_from_file(learnt.rows)
-    if not swings:
-        reasons += gates.never_reversed(problem.runs)
+    reasons += gates.never_reversed(problem.runs)
     return reasons
 
 
@@ -253,7 +241,7 @@ def _notes(fitted: Fitted, usable: Sequence[PreparedRun]) -> list[str]:
         notes.append(
             f"{apart} of {len(fitted.cost)} starts ended in a worse place; the best was taken"
         )
-    if are_free_responses(usable):
+    if "torque_constant" in usable[0].kind.unneeded:
         nothing = (
             f"free swings tell nothing of the torque constant of {', '.join(joints_of(usable))}"
         )
@@ -338,10 +326,8 @@ def _misfits(
         file = f"the robot file expects {1e3 * robot.torque_disturbance:.1f}. It {unlike}"
         cause = "(weights, unit and sign of the current, gears?), or something pulls at it or was in the hand"
         return [f"misfit: the runs only agree if {come}; {file} {cause}"]
-    if not fitted.problem.runs[0].run.is_free_response:
-        return []
     share = missed_share(fitted.posterior)
-    if share > MISSED_SHARE:
+    if share > fitted.problem.runs[0].kind.most_missed:
         return [sentences.swing_missed(share)]
     if noise.friction_spread > CHANGING:
         return [sentences.frictions_differ(noise.friction_spread)]
@@ -470,9 +456,9 @@ def not_empty(
     )
 
 
-def _not_as_stated(off: EmptyHand | None) -> list[str]:
-    """That the references are not what was stated, where the runs say so."""
-    if off is None or abs(off.pull) <= MAYBE_NOT_EMPTY:
+def _not_as_stated(off: EmptyHand | None, beyond: float) -> list[str]:
+    """That the references are not what was stated, where the runs say so by more than ``beyond`` standard deviations."""
+    if off is None or abs(off.pull) <= beyond:
         return []
     return [sentences.other_reference(off.mass_kg, off.std_kg)]
 
@@ -548,14 +534,12 @@ def _without(
 
 def _that_begin_late(runs: Sequence[PreparedRun]) -> list[PreparedRun]:
     """Runs whose joint leaves its rest much later than in its others, the latest first, and not too many to be exceptions."""
-    if runs[0].run.is_free_response:
-        return []
     begins_s = np.array([_begins_s(run) for run in runs])
     joints = np.array([run.run.joint for run in runs])
     off_s = begins_s - [np.median(begins_s[joints == joint]) for joint in joints]
     most = int(gates.LEFT_OUT_AT_MOST * len(runs))
     latest = np.argsort(-off_s, kind="stable")[:most]
-    return [runs[row] for row in latest if off_s[row] > LATE_S]
+    return [runs[row] for row in latest if off_s[row] > runs[0].kind.late_s]
 
 
 def _begins_s(run: PreparedRun) -> float:
@@ -576,7 +560,7 @@ def _begins_s(run: PreparedRun) -> float:
 def _outlier(robot: Robot, fitted: Fitted) -> int | None:
     """The run that contradicts the others: predicted badly, or explained only by a torque or an onset that no other run needs."""
     outlier = gates.contradicting(fitted.posterior)
-    if outlier is not None or fitted.problem.runs[0].run.is_free_response:
+    if outlier is not None:
         return outlier
     strange = [(STRANGE, -1)]
     for kind, usual in (
@@ -710,8 +694,6 @@ def _as_calibration(fitted: Fitted) -> Calibration:
     noise = fitted.noise
     shared = [f for f, row in enumerate(problem.estimated) if problem.unknowns[row].shared]
     rows = problem.estimated[shared]
-    if noise.swing_error == 0.0:
-        noise = replace(noise, friction_spread=0.0)
     return Calibration(
         tuple(problem.unknowns[row].key for row in rows),
         fitted.values[rows],
@@ -748,9 +730,11 @@ def _with_own_friction(
     runs: Sequence[PreparedRun],
     calibration: Calibration,
 ) -> Calibration:
-    """What each swing shows of friction by itself beside it: by that another joint is told from this one."""
-    facts = [run.load.facts if run.load is not None else PayloadFacts() for run in runs]
-    swung = list(zip([run.run for run in runs], facts, strict=True))
+    """What each run that goes both ways shows of friction by itself beside it: by that another joint is told from this one."""
+    swung = []
+    for run in runs:
+        if run.kind.both_ways:
+            swung.append((run.run, PayloadFacts() if run.load is None else run.load.facts))
     own_terms = friction_of_swings(robot.with_calibration(calibration), swung)
     return replace(calibration, own_terms=own_terms)
 

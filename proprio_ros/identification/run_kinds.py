@@ -7,11 +7,12 @@ which unknowns the run has of its own, and which of the robot's it leaves as the
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from proprio_ros.errors import RecordingError
 from proprio_ros.identification.coefficients import Coefficients
 from proprio_ros.identification.locked_joints import (
     Motion,
@@ -74,6 +75,16 @@ class Push:
     """Of these, the ones that the simulation takes."""
     both_ways = False
     """Whether friction acts in both directions within one run."""
+    iterations = 40
+    """Of the solver, at most."""
+    iterations_again = 10
+    """The same from where another fit ended."""
+    late_s = 0.015
+    """A run that begins so much later than most is looked at by itself."""
+    most_missed = math.inf
+    """A simulation that misses a run by more than this share of its span (rms) does not explain it."""
+    most_pull = 3.0
+    """Standard deviations that a reference may be off what was stated, before that is said."""
 
     def standing(self, robot: Robot, run: Run, joints: tuple[str, ...]) -> Standing:
         """Where locked joints stood, and how they moved during the run, see `locked_motions`.
@@ -166,6 +177,14 @@ class FreeSwing(Push):
     they would bend to whatever friction no law follows. What another rise would have made of the rest is in a calibration's
     covariance; the next swing of the joint, whose rise is the same, is fitted given it."""
     both_ways = True
+    # Where a joint comes to a stop the cost has kinks, at which a step overshoots: the search must go on with shorter ones, or it
+    # ends where it has not arrived, and takes what it misses for the swings' noise.
+    iterations = 60
+    iterations_again = 60
+    late_s = math.inf  # no command begins it
+    most_missed = 0.03
+    # swings differ by more than a run says of itself: a good servo's loads would be doubted
+    most_pull = math.inf
 
     def standing(self, robot: Robot, run: Run, joints: tuple[str, ...]) -> Standing:
         """Locked joints are where they were recorded."""
@@ -251,3 +270,12 @@ FREE_SWING = FreeSwing()
 def kind_of(run: Run) -> Push:
     """The kind of a run as it was recorded."""
     return FREE_SWING if run.is_free_response else PUSH
+
+
+def one_kind(runs: Sequence[PreparedRun]) -> Push:
+    """The kind that all runs are of. Raises `RecordingError`: They are of several."""
+    first = {run.kind: run.run.name for run in reversed(runs)}
+    if len(first) > 1:
+        swing = f"{first[FREE_SWING]} is a free swing"
+        raise RecordingError(f"{swing} and {first[PUSH]} is driven by a current: give them apart")
+    return runs[0].kind

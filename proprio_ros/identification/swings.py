@@ -11,16 +11,10 @@ make masses of it: they tell the rotor's inertia.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 
-from proprio_ros.errors import RecordingError
 from proprio_ros.identification.posterior import Posterior
-from proprio_ros.identification.prepared_runs import PreparedRun
 
-# a simulation that misses a swing by more than this share of its span (rms) does not explain it
-MISSED_SHARE = 0.03
 # a swing may be followed so many times worse than those of the calibration before it contradicts them
 MUCH_WORSE = 6.0
 CHANGING = 0.5  # friction that differs by more than this share from swing to swing is no friction
@@ -33,17 +27,6 @@ WHOSE = "another_joint"  # likewise: whether the calibration is of another joint
 USUAL_SHARE, USUAL_SAMPLES = 0.01, 16.0
 """What a simulation usually misses of a swing's span, and how many independent samples that word counts as: two swings alone may
 be followed better than the next one by chance."""
-
-
-def are_free_responses(runs: Sequence[PreparedRun]) -> bool:
-    """Whether the runs are free swings. Raises `RecordingError`: Some are, and some are not."""
-    free = [run.run.name for run in runs if run.run.is_free_response]
-    driven = [run.run.name for run in runs if not run.run.is_free_response]
-    if free and driven:
-        raise RecordingError(
-            f"{free[0]} is a free swing and {driven[0]} is driven by a current: give them apart"
-        )
-    return bool(free)
 
 
 def swing_error(posterior: Posterior) -> float:

@@ -59,7 +59,7 @@ from proprio_ros.identification.prepared_runs import KnownLoad, PreparedRun, joi
 from proprio_ros.identification.problem import Problem
 from proprio_ros.identification.reasons import Reason
 from proprio_ros.identification.robot_unknowns import ZEROS_BESIDE
-from proprio_ros.identification.run_kinds import ZERO_REPEATS
+from proprio_ros.identification.run_kinds import FREE_SWING, ZERO_REPEATS, one_kind
 from proprio_ros.identification.same_joint import (
     LIKELY_ANOTHER,
     TOGETHER,
@@ -276,7 +276,7 @@ def _weigh(
                 "payload", "payload_mass", "kg", robot.name, len(runs), found.reasons, found.notes
             )
         )
-    if swings.are_free_responses(usable.runs):
+    if one_kind(usable.runs) is FREE_SWING:
         return _Attempt(_weigh_swings(robot, usable.runs, facts, options, found, len(runs)))
     drift = _drift(robot, usable.runs[usable.weighing :], facts, options)
     nominal, opened = _nominal_and_open(robot, usable.runs, facts, options)
@@ -449,7 +449,7 @@ def _followed(
         opened = solve_load(robot, runs, facts, options, Role.ESTIMATED, start=opened)
     misfit = ""
     share = swings.missed_share(posterior)
-    if share > swings.MISSED_SHARE:
+    if share > runs[0].kind.most_missed:
         misfit = sentences.swing_missed(share)
     elif known and error > swings.MUCH_WORSE * known:
         misfit = (
