@@ -84,6 +84,7 @@ MODULES: dict[str, tuple[str, ...]] = {
         "payload.facts",
         "payload.identify",
         "payload.paper",
+        "payload.weighed",
         "softness.identify",
         "softness.problem",
         "softness.virtual_object",

@@ -18,8 +18,8 @@ if TYPE_CHECKING:
     from proprio_ros.experiment_design.choosing import Chooser
     from proprio_ros.identification.estimate import Estimate
     from proprio_ros.identification.regression.at_rest import StandingEstimator
-    from proprio_ros.probes.payload.identify import WeighingOptions
     from proprio_ros.probes.payload.paper import PaperOptions
+    from proprio_ros.probes.payload.weighed import WeighingOptions
     from proprio_ros.records import Run
     from proprio_ros.robot import Robot
     from proprio_ros.sim.payload import PayloadFacts
@@ -80,8 +80,8 @@ class Payload(
             profile: One of `profiles`.
         """
         from proprio_ros.probes.payload.facts import payload_facts
-        from proprio_ros.probes.payload.identify import WeighingOptions
         from proprio_ros.probes.payload.paper import PaperOptions
+        from proprio_ros.probes.payload.weighed import WeighingOptions
 
         defaults = probe_file(self.name, ("payload", "solver", "paper"))
         payload = payload_facts(settings, defaults["payload"])

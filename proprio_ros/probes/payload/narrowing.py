@@ -24,7 +24,7 @@ from proprio_ros.identification.unknowns import Role, Unknown, scaled_inverse
 from proprio_ros.quantity import Z95, shown, spec_for
 
 if TYPE_CHECKING:
-    from proprio_ros.probes.payload.identify import Weighed
+    from proprio_ros.probes.payload.weighed import Weighed
 
 WORTH = 0.8  # of its half width, at most, that an interval has to have left for advice to be worth a recording
 MOST_TIMES = 3  # nobody repeats a recording more often for a narrower interval
@@ -34,13 +34,13 @@ def what_would_narrow(weighed: Weighed, verdict: Verdict) -> tuple[str, ...]:
     """A sentence where more pushes or a known load would narrow the interval, with what it would be then.
 
     Args:
-        weighed: With a calibrated robot; of another, or of swings, nothing is said.
+        weighed: By pushes, with a calibrated robot; of another nothing is said.
         verdict: Of the answer.
     """
     assessed = weighed.assessed
     calibrated = weighed.known and weighed.robot.calibration is not None
     given = verdict in (Verdict.ACCEPTED, Verdict.TOO_WIDE)
-    if weighed.swings or not calibrated or not given:
+    if not calibrated or not given:
         return ()
     now_kg = Z95 * assessed.std
     pushes = sum(run.load is None for run in weighed.runs)
