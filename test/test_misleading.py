@@ -168,7 +168,7 @@ def test_what_a_calibration_knows_together_is_looked_at_together(bags: Path, rob
 
 
 def _options() -> Any:
-    from proprio_ros.probes.payload.weighed import WeighingOptions
+    from proprio_ros.probes.payload.identify import WeighingOptions
 
     return WeighingOptions()
 

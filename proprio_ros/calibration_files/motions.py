@@ -23,7 +23,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -110,6 +110,10 @@ class MotionCalibration:
 
     n joints have P = 20 n terms, see `term_keys`.
     """
+
+    section: ClassVar[str] = "motion_calibration"
+    made_of: ClassVar[str] = "motions"
+    beside: ClassVar[Mapping[str, bool]] = {}
 
     joints: tuple[str, ...]  # parents before children, length n
     torque_constants: FloatArray  # that the currents were multiplied with [N m/A], shape (n,)

@@ -20,7 +20,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -82,6 +82,10 @@ _FORMS: dict[str, Form] = {
 @dataclass(frozen=True, eq=False)
 class JointCalibration:
     """One joint as motions with known loads show it."""
+
+    section: ClassVar[str] = "joint_calibration"
+    made_of: ClassVar[str] = "motions"
+    beside: ClassVar[Mapping[str, bool]] = {}
 
     joint: str
     torque_constant: float  # that the currents were multiplied with [N m/A]

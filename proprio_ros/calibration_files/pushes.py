@@ -32,7 +32,7 @@ import functools
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -157,6 +157,11 @@ class Moment:
 @dataclass(frozen=True, eq=False)
 class Calibration:
     """The robot as its own recordings show it."""
+
+    section: ClassVar[str] = "calibration"
+    made_of: ClassVar[str] = "runs"
+    beside: ClassVar[Mapping[str, bool]] = {"calibrated": True}
+    """Key of its section in a robot file; what it was made of, in a word; and what else stands in the file then."""
 
     keys: tuple[Key, ...]  # of the unknowns, such as ``("coulomb", "joint3")``, length C
     values: FloatArray  # shape (C,)

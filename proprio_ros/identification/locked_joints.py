@@ -11,6 +11,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
@@ -287,6 +288,23 @@ def locked_motions(
     return stood, found
 
 
+NONE = np.zeros(0)
+
+
+class Loads(NamedTuple):
+    """What loads a joint beside its current, see `loads_of_yielding`.
+
+    In a free swing it is the load that each kilogram's weight puts on the gears, with the sign of the velocity.
+    """
+
+    # times_s, load: instants from which on each holds [s], shape (S,), and loads, shape (S, 2)
+    times_s: np.ndarray = NONE
+    load: np.ndarray = NONE
+    arm_as_payload: float = (
+        0.0  # payload that would load the gears as the arm does [kg]; only known of free swings
+    )
+
+
 def loads_of_yielding(
     robot: Robot,
     run: Run,
@@ -294,7 +312,7 @@ def loads_of_yielding(
     facts: PayloadFacts,
     noise: float,
     own: Followed | None = None,
-) -> tuple[np.ndarray, np.ndarray]:
+) -> Loads:
     """Load that yielding joints, whose motions are given, put on the driven one, beside what it carries when they stand still.
 
     The driven joint's own motion enters weakly.
@@ -351,9 +369,8 @@ def loads_of_yielding(
         still.append(moving[-1] if name == run.joint else (rest + motion.start, rest, rest))
     inertias = arm_and_payload(robot, model, facts)
     row = model.joint_names.index(run.joint)
-    return begins, joint_torque(model, moving, row, inertias) - joint_torque(
-        model, still, row, inertias
-    )
+    in_motion = joint_torque(model, moving, row, inertias)
+    return Loads(begins, in_motion - joint_torque(model, still, row, inertias))
 
 
 def arm_and_payload(robot: Robot, model: ReducedModel, facts: PayloadFacts) -> np.ndarray:

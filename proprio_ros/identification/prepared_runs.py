@@ -18,8 +18,13 @@ from proprio_ros.identification.coefficients import (
     arm_coefficients,
     slide_coefficients,
 )
-from proprio_ros.identification.locked_joints import Motion
-from proprio_ros.identification.run_kinds import Loads, Push, kind_of
+from proprio_ros.identification.locked_joints import (
+    Loads,
+    Motion,
+    loads_of_yielding,
+    locked_motions,
+)
+from proprio_ros.identification.run_kinds import Push, kind_of
 from proprio_ros.quantity import MAD_TO_STD, Quantity
 from proprio_ros.records import Run
 from proprio_ros.robot import DriveTrain, Robot
@@ -185,10 +190,26 @@ def prepare_run(
     lower = joint.lower / drive.transmission
     upper = joint.upper / drive.transmission
     counted = np.ones_like(followed) if past_fast else followed
-    used, reason = _usable_window(run, velocity, counted, drive, lower, upper)
-    kind = kind_of(run)
+    used, reason = _usable_window(
+        run,
+        velocity,
+        counted,
+        drive,
+        lower,
+        upper,
+    )
     # of nothing it does not matter where it is
     held = load.facts if load is not None and load.mass > 0.0 else facts or PayloadFacts()
+    kind = kind_of(run)
+    loads = kind.loads(run, coefficients, held)
+    if motions:
+        loads = loads_of_yielding(
+            robot,
+            run,
+            motions,
+            held,
+            drive.reading_std,
+        )
     return PreparedRun(
         run,
         used,
@@ -196,10 +217,10 @@ def prepare_run(
         drive,
         coefficients,
         _sigma(robot, run, velocity[:used]),
-        kind.rest(robot, run, drive),
+        kind.rest(robot, run),
         limited=not followed[1:used].all(),
         load=load,
-        loads=kind.loads(robot, run, coefficients, motions, held),
+        loads=loads,
         current_torque_std=drive.torque_constant.value * command_std_A,
     )
 
@@ -222,7 +243,7 @@ def _reduced(
     if robot.model.joint(run.joint).kind == "prismatic":
         return run, slide_coefficients(robot, run), {}
     coefficients = arm_coefficients(robot, run, others)
-    stood, motions = kind_of(run).standing(robot, run, coefficients.pose)
+    stood, motions = locked_motions(robot, run, kind_of(run).yielding(coefficients.pose))
     # the recorded mean counts a slip on the way to where a joint was held
     if any(stood[name] != run.held[name] for name in stood):
         run = replace(run, held={**run.held, **stood})

@@ -224,7 +224,12 @@ def _remarks(learnt: _Learnt, left_out: Sequence[str], count: int) -> list[str]:
     if left_out:
         question = "was the hand as stated, and nothing in the way?"
         reasons.append(sentences.left_out(left_out, count, question))
-    off = empty_hand(problem, fitted.values, fitted.posterior, references=True)
+    off = empty_hand(
+        problem,
+        fitted.values,
+        fitted.posterior,
+        references=True,
+    )
     reasons += _not_as_stated(off, problem.runs[0].kind.most_pull)
     reasons += not_empty(learnt.hand, MAYBE_NOT_EMPTY, NOT_EMPTY)
     reasons += _far_from_file(learnt.rows)

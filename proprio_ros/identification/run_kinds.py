@@ -7,22 +7,17 @@ which unknowns the run has of its own, and which of the robot's it leaves as the
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, NamedTuple
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from proprio_ros.errors import RecordingError
 from proprio_ros.identification.coefficients import Coefficients
-from proprio_ros.identification.locked_joints import (
-    Motion,
-    loads_of_yielding,
-    locked_motions,
-    rests_from,
-)
+from proprio_ros.identification.locked_joints import Loads, rests_from
 from proprio_ros.quantity import Quantity
 from proprio_ros.records import MEASURED_EFFORT, Run
-from proprio_ros.robot import DriveTrain, Robot
+from proprio_ros.robot import Robot
 from proprio_ros.sim.payload import PayloadFacts
 
 if TYPE_CHECKING:
@@ -44,24 +39,6 @@ MOMENT_REPEATS = 0.015
 """Standard deviation of gravity's moment over inertia between swings of one joint with one load, relative: masses of servos that
 were let go repeat to 1.9 to 4.5 %, which is 1 to 2 % of it where the rotor is half of the inertia."""
 ZERO_REPEATS = 0.3  # of a zero as well as the file knows it, what differs from swing to swing
-
-
-NONE = np.zeros(0)
-
-
-class Loads(NamedTuple):
-    """What loads a joint beside its current: instants from which on each holds [s], shape (S,), and loads, shape (S, 2).
-
-    See `loads_of_yielding`. In a free swing it is the load that each kilogram's weight puts on the gears, with the sign of the
-    velocity, and the payload that would load them as the arm does [kg].
-    """
-
-    times_s: np.ndarray = NONE
-    load: np.ndarray = NONE
-    arm_as_payload: float = 0.0
-
-
-Standing = tuple[dict[str, float], dict[str, Motion]]
 
 
 class Push:
@@ -86,24 +63,13 @@ class Push:
     most_pull = 3.0
     """Standard deviations that a reference may be off what was stated, before that is said."""
 
-    def standing(self, robot: Robot, run: Run, joints: tuple[str, ...]) -> Standing:
-        """Where locked joints stood, and how they moved during the run, see `locked_motions`.
+    def yielding(self, joints: tuple[str, ...]) -> tuple[str, ...]:
+        """Locked joints that may give way to it."""
+        return joints
 
-        Args:
-            robot: Whose joints.
-            run: As recorded.
-            joints: Those that matter.
-        """
-        return locked_motions(robot, run, joints)
-
-    def rest(self, robot: Robot, run: Run, drive: DriveTrain) -> Quantity:
-        """Where the joint was when the run began [rad].
-
-        Args:
-            robot: How coarse its readings are.
-            run: At the motor's shaft.
-            drive: Of its joint.
-        """
+    def rest(self, robot: Robot, run: Run) -> Quantity:
+        """Where the joint was when the run began, at the motor's shaft [rad]."""
+        drive = robot.drive_trains[run.joint]
         resting = run.before_position[rests_from(run.before_times_s, run.before_position, drive) :]
         if len(resting) == 0:
             return Quantity(
@@ -123,25 +89,18 @@ class Push:
 
     def loads(
         self,
-        robot: Robot,
         run: Run,
         coefficients: Coefficients,
-        motions: Mapping[str, Motion],
         facts: PayloadFacts,
     ) -> Loads:
-        """What loads the joint beside its current.
+        """What loads the gears beside the current, where no joint yields.
 
         Args:
-            robot: Whose joints yield.
             run: At the motor's shaft.
             coefficients: Of the run.
-            motions: Of locked joints that yield.
             facts: About what the hand holds.
         """
-        if not motions:
-            return Loads()
-        noise = robot.drive_trains[run.joint].reading_std
-        return Loads(*loads_of_yielding(robot, run, motions, facts, noise))
+        return Loads()
 
     def start_velocity(self, robot: Robot, run: PreparedRun) -> Quantity:
         """With which the run began [rad/s]."""
@@ -186,11 +145,10 @@ class FreeSwing(Push):
     # swings differ by more than a run says of itself: a good servo's loads would be doubted
     most_pull = math.inf
 
-    def standing(self, robot: Robot, run: Run, joints: tuple[str, ...]) -> Standing:
-        """Locked joints are where they were recorded."""
-        return {}, {}
+    def yielding(self, joints: tuple[str, ...]) -> tuple[str, ...]:
+        return ()
 
-    def rest(self, robot: Robot, run: Run, drive: DriveTrain) -> Quantity:
+    def rest(self, robot: Robot, run: Run) -> Quantity:
         """Where the swing begins."""
         return Quantity(float(run.position[0]), START_STD)
 
@@ -200,10 +158,8 @@ class FreeSwing(Push):
 
     def loads(
         self,
-        robot: Robot,
         run: Run,
         coefficients: Coefficients,
-        motions: Mapping[str, Motion],
         facts: PayloadFacts,
     ) -> Loads:
         """What friction that grows with the load acts on.
@@ -211,6 +167,11 @@ class FreeSwing(Push):
         With no current the gears carry the weight, and lose part of it in the direction of motion. Where the joint is and which way
         it goes is read off the recording, so that this friction is a known load times one unknown: the size of the moment of 1 kg
         with the sign of the velocity at each sample [N m/kg]. The arm loads the gears as some payload would [kg].
+
+        Args:
+            run: At the motor's shaft.
+            coefficients: Of the run.
+            facts: About what the hand holds.
         """
         if not coefficients.payload.any():
             return Loads()

@@ -517,18 +517,13 @@ def write_calibration(
         below = like.resolve().parent / str(content.get("extends", ""))
         if below.is_file():
             content["extends"] = _reference_to(below, path)
-    of_runs = isinstance(calibration, Calibration)
-    if of_runs:
-        content["calibrated"] = True
+    content.update(calibration.beside)
     content["model_fingerprint"] = robot.model.fingerprint()
-    of_motions = (
-        "motion_calibration" if isinstance(calibration, MotionCalibration) else "joint_calibration"
-    )
-    content["calibration" if of_runs else of_motions] = section
-    noun = "runs" if of_runs else "motions"
+    content[calibration.section] = section
     now = datetime.now(timezone.utc).strftime("%Y-%m-%d %H:%M UTC")
+    made_of = f"{len(calibration.runs)} {calibration.made_of}"
     content.yaml_set_start_comment(
-        f"What one {robot.name} says about itself: {len(calibration.runs)} {noun}, {now}, proprio_ros {__version__}.\n"
+        f"What one {robot.name} says about itself: {made_of}, {now}, proprio_ros {__version__}.\n"
         + (f"It {said}.\n" if said else "")
         + f"Use it with: proprio replay BAG --probe payload --calibration {path.name}\n"
     )

@@ -27,7 +27,7 @@ from proprio_ros.pipeline.loading import (
 )
 from proprio_ros.pipeline.request import Options, Request, request_of
 from proprio_ros.probes import probe_named
-from proprio_ros.probes.base import Carries, Recorded, TakesMotions
+from proprio_ros.probes.base import Carries, Recorded
 from proprio_ros.recordings.for_robot import Read
 from proprio_ros.recordings.motions import Motion
 from proprio_ros.recordings.text import TextRecording, is_text_recording
@@ -124,24 +124,13 @@ def _refuse_unsuited(
     motions: Sequence[Motion],
 ) -> None:
     """Raises: RecordingError: runs and motions do not go together, or do not suit calibration or probe."""
-    probe = request.probe
-    robot = request.robot
     if motions and runs:
         raise RecordingError(
             f"{motions[0].name}: is a motion (several joints at once, or one under a controller), but {runs[0].name} holds probes: "
             "replay them apart"
         )
-    refuse_uncalibrated(robot, runs)
-    if motions and not isinstance(probe, TakesMotions):
-        raise RecordingError(
-            f"{motions[0].name}: several joints were driven at once, or one under a controller; --probe {probe.name} wants one at "
-            "a time, from rest with a constant current"
-        )
-    swings = [run.name for run in runs if run.is_free_response]
-    if swings and not isinstance(probe, TakesMotions):
-        raise RecordingError(
-            f"{swings[0]}: a free swing; --probe {probe.name} wants a joint that a current drives"
-        )
+    refuse_uncalibrated(request.robot, runs)
+    request.probe.refuse_unsuited(runs, motions)
 
 
 def refuse_uncalibrated(robot: Robot, runs: Sequence[Run]) -> None:
@@ -171,13 +160,7 @@ def identify(
     Raises:
         RecordingError: A recording is of no use.
     """
-    probe = request.probe
-    of = (
-        probe.identify_motions
-        if read.motions and isinstance(probe, TakesMotions)
-        else probe.identify
-    )
-    estimate = of(robot, read, request.facts)
+    estimate = request.probe.identify(robot, read, request.facts)
     learnt = (
         (robot.motion_calibration or robot.joint_calibration) if read.motions else robot.calibration
     )

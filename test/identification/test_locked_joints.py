@@ -327,7 +327,7 @@ def test_the_load_of_yielding_joints_is_the_difference_of_two_motions(
     (run,) = bag_runs(bags / "realistic_s00_empty_00_joint3" / "bag_mcap", Request(robot))
     _, motions = locked_motions(robot, run, ("joint1", "joint2", "joint4"))
     assert "joint2" in motions  # the shoulder gives way by 8 mrad
-    begins, loads = loads_of_yielding(robot, run, motions, LOAD, SIGMA)
+    begins, loads, _ = loads_of_yielding(robot, run, motions, LOAD, SIGMA)
     assert begins[0] == 0.0 and loads.shape == (len(begins), 2)
     times = np.concatenate([run.before_times_s, run.times_s])
     driven = smooth(

@@ -21,8 +21,7 @@ from proprio_ros.identification.unknowns import Role
 from proprio_ros.pipeline.calibrate import write_calibration
 from proprio_ros.pipeline.loading import bag_recording, runs_or_motion
 from proprio_ros.pipeline.request import Request
-from proprio_ros.probes.payload.identify import weigh
-from proprio_ros.probes.payload.weighed import WeighingOptions
+from proprio_ros.probes.payload.identify import WeighingOptions, weigh
 from proprio_ros.records import Recording, Run
 from proprio_ros.robot import Robot, load_robot
 

@@ -16,7 +16,7 @@ from proprio_ros.identification.estimate import Verdict
 from proprio_ros.pipeline.api import Weighing
 from proprio_ros.pipeline.replay import read_for
 from proprio_ros.pipeline.request import Options, request_of
-from proprio_ros.probes.payload.identify import _weighed
+from proprio_ros.probes.payload.identify import Weighed, WeighingOptions, _weighed
 from proprio_ros.probes.payload.narrowing import (
     WORTH,
     _round,
@@ -24,7 +24,6 @@ from proprio_ros.probes.payload.narrowing import (
     half_width_with_more,
     what_would_narrow,
 )
-from proprio_ros.probes.payload.weighed import Weighed, WeighingOptions
 from proprio_ros.quantity import Z95
 from proprio_ros.records import Run
 from proprio_ros.robot import Robot

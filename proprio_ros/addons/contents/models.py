@@ -24,7 +24,6 @@ from proprio_ros.identification.moving_part import InertialTerms
 from proprio_ros.identification.prepared_runs import PreparedRun, turning_with
 from proprio_ros.identification.problem import Problem
 from proprio_ros.identification.robot_unknowns import PAYLOAD_TERMS, load_unknowns
-from proprio_ros.identification.run_kinds import Loads
 from proprio_ros.identification.unknowns import Role, Unknown
 from proprio_ros.robot import Robot
 from proprio_ros.sim.joint import JointRun, JointSimulator
@@ -507,7 +506,7 @@ class ContentsProblem(Problem):
         )
         found = []
         for run, own, others in zip(self.runs, driven, motions, strict=True):
-            times_s, load = loads_of_yielding(
+            loads = loads_of_yielding(
                 self.robot,
                 run.run,
                 others,
@@ -515,7 +514,7 @@ class ContentsProblem(Problem):
                 0.0,
                 own,
             )
-            found.append(replace(run, loads=Loads(times_s, load)) if others else run)
+            found.append(replace(run, loads=loads) if others else run)
         return found
 
     def path(

@@ -50,9 +50,8 @@ from proprio_ros.pipeline.request import Options
 from proprio_ros.probes.container.identify import find_sphere
 from proprio_ros.probes.container.problem import SphereTrack
 from proprio_ros.probes.container.search import ContainerOptions
-from proprio_ros.probes.payload.identify import weigh
+from proprio_ros.probes.payload.identify import WeighingOptions, weigh
 from proprio_ros.probes.payload.paper import PaperOptions, last_frame_loss
-from proprio_ros.probes.payload.weighed import WeighingOptions
 from proprio_ros.probes.softness.identify import find_softness
 from proprio_ros.probes.softness.problem import BlockFacts
 from proprio_ros.records import Run

@@ -18,8 +18,9 @@ if TYPE_CHECKING:
     from proprio_ros.experiment_design.choosing import Chooser
     from proprio_ros.identification.estimate import Estimate
     from proprio_ros.identification.regression.at_rest import StandingEstimator
+    from proprio_ros.probes.payload.identify import WeighingOptions
     from proprio_ros.probes.payload.paper import PaperOptions
-    from proprio_ros.probes.payload.weighed import WeighingOptions
+    from proprio_ros.recordings.motions import Motion
     from proprio_ros.records import Run
     from proprio_ros.robot import Robot
     from proprio_ros.sim.payload import PayloadFacts
@@ -38,7 +39,6 @@ class PayloadJob:
 
 
 class Payload(
-    base.TakesMotions[PayloadJob],
     base.HasSolvers[PayloadJob],
     base.Online[PayloadJob],
     base.EstimatesLive[PayloadJob],
@@ -80,8 +80,8 @@ class Payload(
             profile: One of `profiles`.
         """
         from proprio_ros.probes.payload.facts import payload_facts
+        from proprio_ros.probes.payload.identify import WeighingOptions
         from proprio_ros.probes.payload.paper import PaperOptions
-        from proprio_ros.probes.payload.weighed import WeighingOptions
 
         defaults = probe_file(self.name, ("payload", "solver", "paper"))
         payload = payload_facts(settings, defaults["payload"])
@@ -102,14 +102,19 @@ class Payload(
 
         return payload_facts(settings, probe_file(self.name, ("payload",))["payload"])
 
+    def refuse_unsuited(self, runs: Sequence[Run], motions: Sequence[Motion]) -> None:
+        """Motions and free swings tell a mass, too."""
+
     def identify(self, robot: Robot, recorded: base.Recorded, facts: PayloadJob) -> Estimate:
-        """Weigh what runs hold, or as the paper does where that was asked for.
+        """Weigh what runs or motions hold, or as the paper does where that was asked for.
 
         Args:
             robot: As its file or its calibration states it.
-            recorded: With runs.
+            recorded: With runs or motions.
             facts: Of the payload.
         """
+        if recorded.motions:
+            return self._identify_motions(robot, recorded, facts)
         from proprio_ros.probes.payload.identify import weigh_with_advice
         from proprio_ros.probes.payload.paper import as_published, identify_as_paper
 
@@ -128,16 +133,10 @@ class Payload(
         )
         return identify_as_paper(robot, recorded.runs, facts.payload, setting)
 
-    def identify_motions(
+    def _identify_motions(
         self, robot: Robot, recorded: base.Recorded, facts: PayloadJob
     ) -> Estimate:
-        """Weigh what motions hold, by what is known of the arm: its joint, a baseline, a calibration.
-
-        Args:
-            robot: As its file or its calibration states it.
-            recorded: With motions.
-            facts: Of the payload.
-        """
+        """Weigh what motions hold, by what is known of the arm: its joint, a baseline, a calibration."""
         from proprio_ros.probes.payload.known_joint import identify_known_joint
         from proprio_ros.probes.payload.moving import identify_in_motion
         from proprio_ros.probes.payload.one_joint import identify_one_joint

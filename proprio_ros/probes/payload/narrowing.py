@@ -24,7 +24,7 @@ from proprio_ros.identification.unknowns import Role, Unknown, scaled_inverse
 from proprio_ros.quantity import Z95, shown, spec_for
 
 if TYPE_CHECKING:
-    from proprio_ros.probes.payload.weighed import Weighed
+    from proprio_ros.probes.payload.identify import Weighed
 
 WORTH = 0.8  # of its half width, at most, that an interval has to have left for advice to be worth a recording
 MOST_TIMES = 3  # nobody repeats a recording more often for a narrower interval

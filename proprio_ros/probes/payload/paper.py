@@ -34,8 +34,7 @@ from proprio_ros.identification.reasons import Reason
 from proprio_ros.identification.robot_unknowns import load_unknowns
 from proprio_ros.identification.solvers import Solution, adam_descent
 from proprio_ros.identification.unknowns import Role
-from proprio_ros.probes.payload.identify import scan_masses, weigh
-from proprio_ros.probes.payload.weighed import WeighingOptions
+from proprio_ros.probes.payload.identify import WeighingOptions, scan_masses, weigh
 from proprio_ros.quantity import shown
 from proprio_ros.recordings.published import FRAME_S, PROBE_FRAMES
 from proprio_ros.records import Run
