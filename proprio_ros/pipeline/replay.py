@@ -27,7 +27,7 @@ from proprio_ros.pipeline.loading import (
 )
 from proprio_ros.pipeline.request import Options, Request, request_of
 from proprio_ros.probes import probe_named
-from proprio_ros.probes.base import Carries, Recorded
+from proprio_ros.probes.base import Carries, Recorded, TakesMotions
 from proprio_ros.recordings.for_robot import Read
 from proprio_ros.recordings.motions import Motion
 from proprio_ros.recordings.text import TextRecording, is_text_recording
@@ -130,7 +130,17 @@ def _refuse_unsuited(
             "replay them apart"
         )
     refuse_uncalibrated(request.robot, runs)
-    request.probe.refuse_unsuited(runs, motions)
+    if isinstance(request.probe, TakesMotions):
+        return
+    wants = f"--probe {request.probe.name} wants"
+    for motion in motions:
+        several = "several joints were driven at once, or one under a controller"
+        raise RecordingError(
+            f"{motion.name}: {several}; {wants} one at a time, from rest with a constant current"
+        )
+    for run in runs:
+        if run.is_free_response:
+            raise RecordingError(f"{run.name}: a free swing; {wants} a joint that a current drives")
 
 
 def refuse_uncalibrated(robot: Robot, runs: Sequence[Run]) -> None:

@@ -14,7 +14,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, ClassVar, Generic, TypeVar
 
-from proprio_ros.errors import ConfigurationError, RecordingError
+from proprio_ros.errors import ConfigurationError
 from proprio_ros.inputs.settings import Settings
 from proprio_ros.kinds import Kind, add_kinds
 
@@ -186,27 +186,13 @@ class Probe(ABC, Generic[Facts]):
 
         compile_kernels(rises=robot.friction_rises)
 
-    def refuse_unsuited(self, runs: Sequence[Run], motions: Sequence[Motion]) -> None:
-        """Raise `RecordingError` where nothing can be told from such recordings: all but pushes, unless a probe says otherwise."""
-        wants = f"--probe {self.name} wants"
-        for motion in motions:
-            several = "several joints were driven at once, or one under a controller"
-            raise RecordingError(
-                f"{motion.name}: {several}; {wants} one at a time, from rest with a constant current"
-            )
-        for run in runs:
-            if run.is_free_response:
-                raise RecordingError(
-                    f"{run.name}: a free swing; {wants} a joint that a current drives"
-                )
-
     @abstractmethod
     def identify(self, robot: Robot, recorded: Recorded, facts: Facts) -> Estimate:
         """Identify the object.
 
         Args:
             robot: As its file or its calibration states it.
-            recorded: Not refused by `refuse_unsuited`.
+            recorded: With runs, or with motions where it is one of `TakesMotions`.
             facts: What is stated of the object.
 
         Returns:
@@ -219,6 +205,10 @@ class Probe(ABC, Generic[Facts]):
     def sections(self, estimate: Estimate) -> list[str]:
         """Its own parts of the report, as HTML."""
         return []
+
+
+class TakesMotions(Probe[Facts]):
+    """Motions of several joints at once, or under a controller, determine it, too, and so do free swings."""
 
 
 class HasSolvers(Probe[Facts]):

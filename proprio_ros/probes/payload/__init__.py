@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     from proprio_ros.identification.regression.at_rest import StandingEstimator
     from proprio_ros.probes.payload.identify import WeighingOptions
     from proprio_ros.probes.payload.paper import PaperOptions
-    from proprio_ros.recordings.motions import Motion
     from proprio_ros.records import Run
     from proprio_ros.robot import Robot
     from proprio_ros.sim.payload import PayloadFacts
@@ -40,6 +39,7 @@ class PayloadJob:
 
 class Payload(
     base.HasSolvers[PayloadJob],
+    base.TakesMotions[PayloadJob],
     base.Online[PayloadJob],
     base.EstimatesLive[PayloadJob],
     base.ChoosesNext[PayloadJob],
@@ -101,9 +101,6 @@ class Payload(
         from proprio_ros.probes.payload.facts import payload_facts
 
         return payload_facts(settings, probe_file(self.name, ("payload",))["payload"])
-
-    def refuse_unsuited(self, runs: Sequence[Run], motions: Sequence[Motion]) -> None:
-        """Motions and free swings tell a mass, too."""
 
     def identify(self, robot: Robot, recorded: base.Recorded, facts: PayloadJob) -> Estimate:
         """Weigh what runs or motions hold, or as the paper does where that was asked for.
