@@ -19,6 +19,8 @@ It is the section ``calibration`` of a robot file that ``extends`` the robot it 
       start_velocity_rad_s: 0.003        # how still the joint is when its excitation begins; all numbers have ranges, see `RANGES`
       own_terms: |                       # of free responses, a line for each run, see `own_terms`
         0.14 0.015 ..
+      torque_spread:                     # how well torque_disturbance_N_m is known, see `torque_spread`
+        {stated_N_m: 0.001, weights: 0.01 0.012 ..}
       unknowns:
         torque_constant[joint3]: {value: 1.74, std: 0.02, unit: N m/A}
       correlation: |                     # lower triangle, a line per unknown in the order above
@@ -47,6 +49,11 @@ from proprio_ros.calibration_files.section import (
     runs_of,
     short,
     triangle_of,
+)
+from proprio_ros.calibration_files.torque_spread import (
+    TorqueSpread,
+    torque_spread_of,
+    torque_spread_settings,
 )
 from proprio_ros.errors import one_line
 from proprio_ros.inputs.forms import Form, FormError, Number, Text, Whole, shortly, under
@@ -187,6 +194,8 @@ class Calibration:
     delivered: Mapping[str, Quantity] = field(default_factory=dict)
     # of each free response, dry and viscous friction by itself; none in older files, and of pushes
     own_terms: tuple[OwnTerms, ...] = ()
+    # how well `torque_disturbance`, its median, is known; None in older files, and of free responses
+    torque_spread: TorqueSpread | None = None
 
     @functools.cached_property
     def names(self) -> tuple[str, ...]:
@@ -281,6 +290,7 @@ class Calibration:
                 for joint, share in self.delivered.items()
             }
         settings |= own_terms_text(self.own_terms)
+        settings |= torque_spread_settings(self.torque_spread)
         unknowns = {}
         for key, known in self.quantities.items():
             unknowns[name_of(key)] = {
@@ -322,6 +332,7 @@ class Calibration:
             made=made,
             delivered=_delivered(section),
             own_terms=own_terms_of(section, len(runs), TERMS_OF_A_SWING),
+            torque_spread=torque_spread_of(section),
             **_read_noise(section),
         )
 

@@ -13,14 +13,15 @@ from dataclasses import astuple, dataclass, replace
 
 import numpy as np
 
-from proprio_ros.identification import solvers
+from proprio_ros.calibration_files.torque_spread import TorqueSpread
+from proprio_ros.identification import scatter, solvers
 from proprio_ros.identification.fit import FitResult
 from proprio_ros.identification.posterior import Posterior
 from proprio_ros.identification.prepared_runs import PreparedRun
 from proprio_ros.identification.problem import Problem
 from proprio_ros.identification.robot_unknowns import robot_unknowns
 from proprio_ros.identification.run_kinds import FREE_SWING, PUSH
-from proprio_ros.identification.scatter import median_spread
+from proprio_ros.identification.run_scatter import terms_of
 from proprio_ros.identification.swings import (
     missed_share,
     stamp_jitter,
@@ -104,6 +105,7 @@ class Fitted:
     covariance: np.ndarray
     cost: np.ndarray  # of the end of each start, shape (S,)
     noise: Noise  # as the evidence has it
+    torque_spread: TorqueSpread | None  # how well that of torque is known; None: it does not differ
 
 
 def fit(robot: Robot, runs: Sequence[PreparedRun]) -> Fitted:
@@ -148,6 +150,7 @@ def fit(robot: Robot, runs: Sequence[PreparedRun]) -> Fitted:
         posterior.covariance,
         solution.cost,
         noise,
+        _torque_spread(robot, problem, posterior),
     )
 
 
@@ -323,32 +326,22 @@ def _evidence(
         )
     }
     alike = np.sqrt(_alike(problem, posterior, left))
+    spread = _torque_spread(robot, problem, posterior)
     return Noise(
         float(np.sqrt(scale2)) * alike,
         float(np.sqrt(jitter2)) * alike,
-        _torque_spread(robot, problem, posterior),
+        robot.torque_disturbance if spread is None else scatter.median_of(spread),
         spreads["v0"],
         max(spreads["onset"], robot.onset_jitter_s),
     )
 
 
-def _torque_spread(robot: Robot, problem: Problem, posterior: Posterior) -> float:
-    """By how much torque differs from run to run [N m], the robot file's word being the scale of its prior."""
-    rows, found, _ = of_runs("disturbance", problem, posterior)
-    stated = robot.torque_disturbance
-    if stated == 0.0 or not rows:
-        return stated
-    keys = [("disturbance", row) for row in rows]
-    columns = [problem.column_of(key) for key in keys]
-    prior = np.square([problem.unknowns[problem.index[key]].std for key in keys])
-    known = np.square([problem.runs[row].current_torque_std for row in rows])
-    return median_spread(
-        stated,
-        known,
-        found,
-        posterior.covariance[np.ix_(columns, columns)],
-        prior,
-    )
+def _torque_spread(robot: Robot, problem: Problem, posterior: Posterior) -> TorqueSpread | None:
+    """By how much torque differs from run to run, the robot file's word being the scale of its prior; None: by nothing."""
+    terms = terms_of(problem, posterior)
+    if robot.torque_disturbance == 0.0 or terms is None:
+        return None
+    return scatter.given(scatter.expected(robot.torque_disturbance), terms)
 
 
 def _parts_of_noise(

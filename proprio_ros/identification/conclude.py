@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from types import MappingProxyType
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
@@ -45,9 +46,18 @@ from proprio_ros.identification.judge import (
 )
 from proprio_ros.identification.posterior import Posterior
 from proprio_ros.identification.prepared_runs import joints_of
+from proprio_ros.identification.run_scatter import (
+    differs_more,
+    followed,
+    known_spread,
+    least_steady,
+)
 from proprio_ros.kinds import label_of
 from proprio_ros.quantity import Z95
 from proprio_ros.robot import Robot
+
+if TYPE_CHECKING:
+    from typing_extensions import Self
 
 
 @dataclass(eq=False)
@@ -119,6 +129,29 @@ class Conclusion:
         """The comparison of a run that says another value than the others, as `compare_runs` found it; None: they agree."""
         found = self.comparison
         return found if found is not None and found.contradicts else None
+
+    def fitted_with(self, robot: Robot, start: FitResult) -> FitResult:
+        """The fit with torque that differs from run to run as it does of another robot, from where a fit has ended."""
+        raise NotImplementedError
+
+    def starts(self) -> Sequence[FitResult]:
+        """Fits from which another is started, the one in which all that is open moves first."""
+        return (self.opened,)
+
+    def with_own_scatter(self) -> Self:
+        """The same with torque that differs as these runs say, too; as it is where one contradicts the others."""
+        spread = known_spread(self.robot, self.runs)
+        if spread is None or self.against:
+            return self
+        self.compare_runs()
+        if self.contradiction is not None:
+            return self
+        fits = []
+        for start in self.starts():
+            fits.append(followed(self.opened, spread, partial(self.fitted_with, start=start)))
+        opened = least_steady(fits, spread)
+        self.found.notes += differs_more(opened.problem.robot, spread)
+        return replace(self, opened=opened)
 
     def compared_with_others(self, outlier: int) -> RunComparison:
         """What a run says that the others predict badly."""

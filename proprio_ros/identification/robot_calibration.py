@@ -705,6 +705,7 @@ def _as_calibration(fitted: Fitted) -> Calibration:
         fitted.covariance[np.ix_(shared, shared)],
         runs=tuple(map(entry_of, problem.runs)),
         delivered=_delivered(problem.runs),
+        torque_spread=fitted.torque_spread,
         **asdict(noise),
     )
 

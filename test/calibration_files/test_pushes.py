@@ -15,6 +15,7 @@ from ruamel.yaml import YAML
 from proprio_ros.calibration_files.pushes import Calibration
 from proprio_ros.cli import main
 from proprio_ros.errors import ConfigurationError, RobotError
+from proprio_ros.identification.scatter import expected
 from proprio_ros.inputs.resources import resource
 from proprio_ros.kinds import key_of
 from proprio_ros.live.workspace import Workspace
@@ -80,6 +81,37 @@ def test_everything_comes_back(written: Path) -> None:
     assert calibration.torque_disturbance == 1.1e-3 and calibration.start_velocity == 4e-3
     assert calibration.runs == given.runs
     assert calibration.joints == ("joint3",)
+
+
+def test_how_well_the_spread_of_torque_is_known_comes_back(tmp_path: Path) -> None:
+    spread = expected(0.0012)
+    path = tmp_path / "arm.yaml"
+    robot = load_robot("open_manipulator_x")
+    write_calibration(path, robot, replace(small(), torque_spread=spread))
+    read = load_robot(path).calibration
+    assert read is not None and read.torque_spread is not None
+    assert read.torque_spread.stated == 0.0012
+    np.testing.assert_allclose(read.torque_spread.weights, spread.weights, rtol=1e-11)
+
+
+def test_older_files_do_not_say_how_well_the_spread_of_torque_is_known(written: Path) -> None:
+    calibration = load_robot(written).calibration
+    assert calibration is not None and calibration.torque_spread is None
+
+
+@pytest.mark.parametrize(
+    "weights",
+    ["0.5 0.5", "nan " * 36, "1 " * 36, "-1 2 " + "0 " * 34],
+    ids=["two", "no numbers", "more than 1", "less than 0"],
+)
+def test_weights_that_are_no_probabilities_are_refused(written: Path, weights: str) -> None:
+    def change(content) -> None:
+        spread = {"stated_N_m": 0.001, "weights": weights}
+        content["calibration"]["torque_spread"] = spread
+        del content["calibration"]["digest"]
+
+    with pytest.raises(RobotError, match="torque_spread: weights must be 36 probabilities"):
+        load_robot(edited(written, change))
 
 
 def test_what_is_known_given_one_unknown_is_what_its_precision_says() -> None:

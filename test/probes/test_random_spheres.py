@@ -236,10 +236,11 @@ def test_intervals_on_robots_that_learnt_themselves() -> None:
         found, why = one_robot((seed, EFFECTS, RUN_TORQUE_N_M))
         answers += found
         refused += why
-    assert len(answers) >= 7 and set(refused) <= {"stuck"}, refused
-    assert sum(answer.holds for answer in answers) >= 7, answers
+    assert len(answers) >= 6 and set(refused) <= {"stuck", "too_wide"}, refused
+    assert all(answer.holds for answer in answers), answers
     widths = np.array([answer.std / answer.bound for answer in answers])
-    assert widths.max() < 1.5 and 0.8 < np.median(widths) < 1.2, widths
+    # the bound knows how far torque differs, and a robot does not
+    assert widths.max() < 2.5 and 0.8 < np.median(widths) < 1.3, widths
     # nothing but the fit's own covariance counts
     assert max(answer.shares["widening"] for answer in answers) < 0.05, answers
 
@@ -334,3 +335,22 @@ def test_runs_of_nearly_the_same_sphere(robot: Robot, factor: float, accepted: b
             estimate.verdict is Verdict.REJECTED
             and "contradicts the other runs" in estimate.reasons[0]
         )
+
+
+def test_runs_that_differ_more_than_those_of_the_calibration_widen_the_interval() -> None:
+    """Twelve runs with an empty hand happened to be alike, and torque differs by 4 mN m: answers were 4.7 to 6.7 sd off."""
+    import spheres
+
+    made = spheres.recorded(9721, spheres.EFFECTS, 0.004)
+    learnt = spheres.calibrated(made)
+    assert learnt is not None
+    robot = learnt[0]
+    assert robot.torque_disturbance < 0.001
+    for runs in [*[(run,) for run in made.rolling], made.rolling]:
+        estimate = find_sphere(robot, runs, spheres.FACTS, None, made.baseline)
+        assert estimate.verdict is Verdict.ACCEPTED, estimate.reasons
+        value = estimate.value("sphere_mass")
+        assert isinstance(value.value, float) and isinstance(value.std, float)
+        assert abs(value.value - made.sphere.sphere_kg) < 3.0 * value.std
+    # of all runs together
+    assert any("torque differs by" in note for note in estimate.notes)

@@ -30,7 +30,7 @@ from proprio_ros.identification.estimate import (
     no_answer,
     not_negative,
 )
-from proprio_ros.identification.fit import SearchOptions, fit_opened, summary
+from proprio_ros.identification.fit import FitResult, SearchOptions, fit_opened, summary
 from proprio_ros.identification.gates import (
     CONTRADICTION,
     MIN_USED,
@@ -142,7 +142,18 @@ def find_sphere(
             )
             return _no_answer(robot, len(runs), found)
         nominal, opened = search.fits()
-    return WeighedSphere(nominal, opened, found, len(runs), search, against=against).estimate()
+    return (
+        WeighedSphere(
+            nominal,
+            opened,
+            found,
+            len(runs),
+            search,
+            against=against,
+        )
+        .with_own_scatter()
+        .estimate()
+    )
 
 
 def _no_answer(robot: Robot, run_count: int, found: Findings) -> Estimate:
@@ -223,15 +234,24 @@ class WeighedSphere(Conclusion):
         super().__post_init__()
         assert isinstance(self.opened.problem, ContainerProblem)
         self.problem = self.opened.problem
+        self.search = replace(self.search, robot=self.robot)
         self.facts = self.search.facts
         self.rolling = np.flatnonzero(self.search.rolling).tolist()
-        if np.isfinite(seen := self.problem.camera_rms(self.fit.values)):
-            alone = ", which alone was fitted" if self.search.options.signals == "camera" else ""
-            self.found.notes.append(
-                f"the simulated sphere is {1e3 * seen:.1f} mm rms from where the camera saw it{alone}"
-            )
+
+    def fitted_with(self, robot: Robot, start: FitResult) -> FitResult:
+        return replace(self.search, robot=robot).solve(Role.ESTIMATED, start)
+
+    def starts(self) -> Sequence[FitResult]:
+        # another end of the search may be the best with another spread
+        return self.opened, self.nominal
 
     def widen(self) -> None:
+        seen_m = self.problem.camera_rms(self.fit.values)
+        if np.isfinite(seen_m):
+            alone = ", which alone was fitted" if self.search.options.signals == "camera" else ""
+            self.found.notes.append(
+                f"the simulated sphere is {1e3 * seen_m:.1f} mm rms from where the camera saw it{alone}"
+            )
         # by how much the mass would follow if a touch were quicker
         facts = self.facts
         harder = replace(

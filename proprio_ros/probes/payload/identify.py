@@ -304,7 +304,7 @@ def _weigh(
         options,
         usable.still,
         against=drift,
-    )
+    ).with_own_scatter()
     estimate = weighed.estimate()
     if estimate.verdict is not Verdict.REJECTED:
         return _Attempt(estimate, weighed)
@@ -512,6 +512,9 @@ class Weighed(Conclusion):
         if self.nominal.explains and not self.known:
             return self.nominal
         return self.opened
+
+    def fitted_with(self, robot: Robot, start: FitResult) -> FitResult:
+        return solve_load(robot, self.runs, self.facts, self.options, Role.ESTIMATED, start)
 
     def widen(self) -> None:
         mass = self.assessed.value
