@@ -230,7 +230,13 @@ class Conclusion:
     def several(self, share: float, cure: str = "") -> Iterator[Refusal]:
         """Where other starts explain the recording as well, at masses that differ by more than ``share``."""
         mass = self.assessed.value
-        others = rivals(self.fit, self.name, mass, self.assessed.std, share)
+        others = rivals(
+            self.fit,
+            self.name,
+            mass,
+            self.assessed.std,
+            share,
+        )
         if others:
             several = "more than one mass explains the recording"
             masses = ", ".join(f"{1e3 * each:.1f} g" for each in sorted((mass, *others)))

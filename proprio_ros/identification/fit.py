@@ -224,7 +224,14 @@ def solve_load(
         start_velocity_std: Of every run's start velocity [rad/s]; None is the usual one.
         rough: Enough to start another fit from.
     """
-    problem, starts = first_problem(robot, runs, facts, options, role, start_velocity_std)
+    problem, starts = first_problem(
+        robot,
+        runs,
+        facts,
+        options,
+        role,
+        start_velocity_std,
+    )
     if start is not None:
         starts = problem.coordinates.internal(start.values[problem.estimated][None])
     if options.solver == "lm" or start is not None:

@@ -128,7 +128,14 @@ class SphereSearch:
             priors.append(
                 start_prior(sphere_run(robot, run, facts, nothing), facts, run.rest.value)
             )
-        unknowns = container_unknowns(robot, runs, rolling, facts, priors, role)
+        unknowns = container_unknowns(
+            robot,
+            runs,
+            rolling,
+            facts,
+            priors,
+            role,
+        )
         steps = (options.integrator, options.step_s)
         seen = (self.tracks, options.signals)
         problem = ContainerProblem(robot, runs, facts, rolling, unknowns, *steps, *seen)

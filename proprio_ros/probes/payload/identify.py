@@ -287,8 +287,18 @@ def _weigh(
             len(runs),
         )
         return _Attempt(estimate)
-    drift = _drift(robot, usable.runs[usable.weighing :], facts, options)
-    nominal, opened = _nominal_and_open(robot, usable.runs, facts, options)
+    drift = _drift(
+        robot,
+        usable.runs[usable.weighing :],
+        facts,
+        options,
+    )
+    nominal, opened = _nominal_and_open(
+        robot,
+        usable.runs,
+        facts,
+        options,
+    )
     open_file = not robot.is_calibrated() and not known_exactly(robot, usable.runs)
     if open_file and not nominal.explains and opened.chi2 < 0.5 * nominal.chi2:
         found.notes.append(
@@ -319,7 +329,15 @@ def _nominal_and_open(
 
     def solve(role: Role, start: FitResult | None = None) -> FitResult:
         rough = known and role is Role.FIXED
-        return solve_load(robot, runs, facts, options, role, start, rough=rough)
+        return solve_load(
+            robot,
+            runs,
+            facts,
+            options,
+            role,
+            start,
+            rough=rough,
+        )
 
     def again(nominal: FitResult, opened: FitResult) -> bool:
         return not (opened if known else nominal).explains
@@ -366,7 +384,12 @@ def _weigh_swings(
         drive = robot.drive_trains[joint]
         anew = replace(drive, zero=replace(drive.zero, std=ANY_ZERO_RAD / ZERO_REPEATS))
         elsewhere = replace(robot, drive_trains={**robot.drive_trains, joint: anew})
-        again_searched, again, worse = _followed(elsewhere, runs, facts, options)
+        again_searched, again, worse = _followed(
+            elsewhere,
+            runs,
+            facts,
+            options,
+        )
         better = (
             opened.problem.robot.swing_error > BETTER_FOLLOWED * again.problem.robot.swing_error
         )
@@ -455,7 +478,14 @@ def _followed(
             break
         robot = replace(robot, swing_error=error)
         runs = [prepare_run(robot, run.run, run.load, facts) for run in runs]
-        opened = solve_load(robot, runs, facts, options, Role.ESTIMATED, start=opened)
+        opened = solve_load(
+            robot,
+            runs,
+            facts,
+            options,
+            Role.ESTIMATED,
+            start=opened,
+        )
     misfit = ""
     share = swings.missed_share(posterior)
     if share > runs[0].kind.most_missed:
@@ -514,7 +544,14 @@ class Weighed(Conclusion):
         return self.opened
 
     def fitted_with(self, robot: Robot, start: FitResult) -> FitResult:
-        return solve_load(robot, self.runs, self.facts, self.options, Role.ESTIMATED, start)
+        return solve_load(
+            robot,
+            self.runs,
+            self.facts,
+            self.options,
+            Role.ESTIMATED,
+            start,
+        )
 
     def widen(self) -> None:
         mass = self.assessed.value
@@ -581,7 +618,13 @@ class Weighed(Conclusion):
         fit = self.fit
         mass = self.assessed.value
         unknown = self.fit.problem.unknowns[self.assessed.row]
-        sticks = gates.stood_still(self.robot, fit.problem, fit.values, self.still, mass)
+        sticks = gates.stood_still(
+            self.robot,
+            fit.problem,
+            fit.values,
+            self.still,
+            mass,
+        )
         if sticks:
             yield rejected("stood_still", "a joint stood still that should have moved", sticks)
         if mass <= unknown.lower * (1.0 - 1e-6) or mass >= unknown.upper * (1.0 - 1e-6):
