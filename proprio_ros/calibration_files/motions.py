@@ -17,6 +17,9 @@ It is the section ``motion_calibration`` of a robot file that ``extends`` the ro
         1
       deviations: |                                              # which way each stretch pulls, in the unknowns' std
         0.1
+      scale_of_load: |                                           # of the torque scale, where a known load told it: its correlations
+        0.3                                                      # with the unknowns, and its own deviations, each in one line
+        0.1
 """
 
 from __future__ import annotations
@@ -105,6 +108,14 @@ def term_keys(joints: tuple[str, ...]) -> tuple[Key, ...]:
 
 
 @dataclass(frozen=True, eq=False)
+class LoadScale:
+    """How the torque scale errs together with an arm's P terms, where a known load told both."""
+
+    covariance: FloatArray  # of the relative scale with each term, shape (P,)
+    deviations: FloatArray  # which way each stretch pulls the relative scale, shape (stretches,)
+
+
+@dataclass(frozen=True, eq=False)
 class MotionCalibration:
     """An arm as motions with an empty hand show it, in torques as the robot file's torque constants make them of currents.
 
@@ -143,6 +154,8 @@ class MotionCalibration:
     spread_evidence: FloatArray = field(default_factory=lambda: np.zeros(len(SPREAD_FACTORS)))
     # how much each joint would tell of a mass in these motions, shape (n,), sum 1; None: not kept in files
     tells: FloatArray | None = None
+    # None: no known load told the scale, or a file of before there was this
+    scale_of_load: LoadScale | None = None
 
     @property
     def keys(self) -> tuple[Key, ...]:
@@ -193,7 +206,7 @@ class MotionCalibration:
         for joint, constant, rms, windows in zip(*columns, strict=True):
             numbers = (joint, short(constant, 15), short(rms), short(windows))
             joints.append(dict(zip(_JOINT, numbers, strict=True)))
-        return {
+        section = {
             "version": VERSION,
             "runs": [dict(run) for run in self.runs],
             "torque_scale": {
@@ -211,6 +224,14 @@ class MotionCalibration:
             "correlation": triangle_of(self.covariance / std[:, None] / std),
             "deviations": lines_of(self.deviations / std, 9),
         }
+        scale = self.scale_of_load
+        if scale is not None:
+            of_scale = self.torque_scale_std
+            correlation = scale.covariance / std / of_scale
+            section["scale_of_load"] = lines_of([correlation], 12) + lines_of(
+                [scale.deviations / of_scale], 9
+            )
+        return section
 
     @classmethod
     def from_settings(cls, section: Any) -> MotionCalibration:
@@ -247,6 +268,7 @@ class MotionCalibration:
             runs=runs,
             between=_read_between(section.get("between_recordings", {})),
             spread_evidence=_read_spread_evidence(section),
+            scale_of_load=_read_scale_of_load(section, terms, len(deviations), torque_scale_std),
         )
 
 
@@ -328,6 +350,28 @@ def _read_spread_evidence(section: Mapping[str, Any]) -> FloatArray:
     if len(evidence) != len(SPREAD_FACTORS) or not np.all(np.isfinite(evidence)):
         raise FormError("spread_evidence is of another release; calibrate again")
     return evidence
+
+
+def _read_scale_of_load(
+    section: Mapping[str, Any],
+    terms: _Terms,
+    stretches: int,
+    scale_std: float,
+) -> LoadScale | None:
+    """None where the file says nothing; ``scale_std``: of the relative scale."""
+    if "scale_of_load" not in section:
+        return None
+    rows = numbers_of(section, "scale_of_load")
+    count = len(terms.place)
+    if [len(row) for row in rows] != [count, stretches]:
+        raise FormError(
+            f"scale_of_load must be a row of {count} correlations and one of {stretches} deviations; calibrate again"
+        )
+    correlation = np.array(rows[0])
+    deviations = np.array(rows[1])
+    if not np.all(np.isfinite(deviations)) or not np.all(np.abs(correlation) <= 1.0):
+        raise FormError("scale_of_load must be correlations and finite numbers; calibrate again")
+    return LoadScale(correlation[terms.place] * terms.std * scale_std, deviations * scale_std)
 
 
 def _read_term(entry: Any, kind: str) -> list[float]:

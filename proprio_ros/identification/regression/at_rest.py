@@ -28,6 +28,11 @@ from proprio_ros.errors import RecordingError, TooLittleMotion
 from proprio_ros.identification.chance import beyond_chance
 from proprio_ros.identification.regression.arm_terms import ArmTerms
 from proprio_ros.identification.regression.error_budget import CALIBRATION, CONSTANTS
+from proprio_ros.identification.regression.known_load import (
+    covariance_with_scale,
+    deviations_with_scale,
+    scale_variance_alone,
+)
 from proprio_ros.identification.regression.motion_equations import Arm, Problem, equations
 from proprio_ros.identification.regression.motion_fit import LEAST_PLACE_STD_M, check_arm
 from proprio_ros.identification.regression.motion_prior import LOAD_FRICTION_SPREAD, payload_stds
@@ -369,7 +374,7 @@ def _by_stances(
     chi2 = float(left @ np.linalg.solve(covariance, left))
     freedom = max(len(left) - 1, 1)
     variances = {name: float(gain @ part @ gain) for name, part in errors.parts.items()}
-    variances[CONSTANTS] = (mass * calibration.torque_scale_std) ** 2
+    variances[CONSTANTS] = mass**2 * scale_variance_alone(calibration)
     wider = max(1.0, chi2 / freedom)
     expected = np.trace(errors.parts[FRICTION]) / len(left)
     return RestFit(
@@ -438,8 +443,7 @@ class _StanceEquations:
         gears = np.abs(calibration.values[self._terms.load_friction])[self._joint]
         friction = coulomb + (gears + LOAD_FRICTION_SPREAD) * np.abs(whole)  # (E,)
         follows = self._by_terms(whole)
-        learnt = follows @ calibration.covariance @ follows.T
-        stretched = follows @ calibration.deviations.T
+        learnt, stretched = self._of_calibration(follows, mass_kg)
         of_recording = follows[:, calibration.friction] * calibration.friction_spread
         of_calibration = max(learnt, stretched @ stretched.T, key=np.trace)
         return _StanceErrors(
@@ -450,6 +454,25 @@ class _StanceEquations:
                 PLACE: mass_kg**2 * self._shift @ self._shift.T,
             },
         )
+
+    def _of_calibration(self, follows: FloatArray, mass_kg: float) -> tuple[FloatArray, FloatArray]:
+        """What the calibration errs by: covariance, shape (E, E), and which way each of its stretches pulls, (E, stretches).
+
+        Where a known load told the scale of the torques, that errs together with the terms.
+
+        Args:
+            follows: How the equations follow its terms, shape (E, 20 n).
+            mass_kg: Of the payload.
+        """
+        calibration = self._calibration
+        if calibration.scale_of_load is None:
+            learnt = follows @ calibration.covariance @ follows.T
+            return learnt, follows @ calibration.deviations.T
+        # a scale that is too large has the payload too heavy: what is right of an equation errs by as much the other way
+        both = np.column_stack([follows, -mass_kg * self.lever])
+        alone = scale_variance_alone(calibration) * mass_kg**2 * np.outer(self.lever, self.lever)
+        learnt = both @ covariance_with_scale(calibration) @ both.T - alone
+        return learnt, both @ deviations_with_scale(calibration).T
 
     def _by_terms(self, whole: FloatArray) -> FloatArray:
         """How the equations follow the calibration's terms, under such torques of gravity, shape (E, 20 n)."""

@@ -11,6 +11,11 @@ from scipy.special import stdtr
 
 from proprio_ros.calibration_files.motions import MotionCalibration
 from proprio_ros.identification.regression.arm_terms import ArmTerms
+from proprio_ros.identification.regression.known_load import (
+    covariance_with_scale,
+    deviations_with_scale,
+    scale_variance_alone,
+)
 from proprio_ros.identification.regression.motion_equations import Problem
 from proprio_ros.identification.regression.motion_prior import (
     LEAST_TORQUE_STD,
@@ -149,6 +154,8 @@ def _of_calibration(
     """How the payload follows the calibration's values, its torque constants apart, covariances, shape (10, 10) each."""
     count = problem.count
     follows = by_prior[:, PARAMETERS:] @ calibrated_terms(count, problem.motions)  # (10, 20 n)
+    if calibration.scale_of_load is not None:
+        return _of_known_load(follows, solution.values[:PARAMETERS], calibration)
     # how the payload follows each torque constant's share: the calibration's other terms lean on it, too
     shares = calibration.covariance[:, ArmTerms(count).torque_shares]
     by_share = follows @ shares / LEAST_TORQUE_STD  # (10, n)
@@ -163,6 +170,23 @@ def _of_calibration(
         CALIBRATION: by_calibration,
         CONSTANTS: larger(np.outer(together, together), apart),
     }
+
+
+def _of_known_load(
+    follows: FloatArray, payload: FloatArray, calibration: MotionCalibration
+) -> dict[str, FloatArray]:
+    """The same where a known load has told the arm's terms and their scale together.
+
+    Args:
+        follows: How the payload follows the calibration's values, shape (10, P).
+        payload: Its parameters, which go with the scale, shape (10,).
+        calibration: Of the arm.
+    """
+    both = np.column_stack([follows, payload])  # (10, P + 1)
+    pulls = both @ deviations_with_scale(calibration).T
+    whole = larger(pulls @ pulls.T, both @ covariance_with_scale(calibration) @ both.T)
+    of_scale = scale_variance_alone(calibration) * np.outer(payload, payload)
+    return {CALIBRATION: whole - of_scale, CONSTANTS: of_scale}
 
 
 def _of_recordings(

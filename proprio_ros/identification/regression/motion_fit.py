@@ -141,6 +141,7 @@ class MotionFit:
     priors: Priors
     calibration: MotionCalibration
     solution: Solution
+    scatter: FloatArray  # of it over spreads of what recordings differ by, covariance, shape (U, U)
 
     @functools.cached_property
     def trends(self) -> tuple[Trend, ...]:
@@ -532,6 +533,7 @@ def fit_payload(
         priors=priors,
         calibration=calibration,
         solution=solution,
+        scatter=followed.scatter,
     )
 
 

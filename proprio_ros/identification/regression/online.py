@@ -564,17 +564,11 @@ class OnlineEstimator:
         if now is None or not now.motion_s:
             return None
         scale = self._calibration.torque_scale
-        mass = now.mass_kg
-        # nobody knows whether all torque constants are off together or each on its own: the larger covers every mixture
-        counted = np.linalg.norm(now.by_share)
-        apart = np.linalg.norm(now.by_share * self._apart_std / LEAST_TORQUE_STD)
-        constants = max(float(apart), abs(mass) * self._calibration.torque_scale_std)
-        beside_constants = max(now.std_kg**2 - float(counted) ** 2, 0.0)
         of_gain = now.by_scale * self.scale.likely_error
         if self.scale.is_other:
             of_gain = self._arm.kg
-        std = float(np.sqrt(beside_constants + constants**2 + of_gain**2)) * scale
-        mass *= scale
+        std = scale * float(np.sqrt(self._variance(now) + of_gain**2))
+        mass = scale * now.mass_kg
         resting = self._looked_s - self._moved_s >= RESTING_S
         changed = np.isfinite(self._changed_at_s)
         return OnlineEstimate(
@@ -587,6 +581,21 @@ class OnlineEstimator:
             since_s=self._changed_at_s if changed else self._first_s,
             resting_since_s=self._moved_s if resting else None,
         )
+
+    def _variance(self, now: _Filter) -> float:
+        """Of the mass, before it is scaled [kg^2]."""
+        mass = now.mass_kg
+        calibration = self._calibration
+        if calibration.scale_of_load is not None:
+            # the scale errs together with the arm
+            together = 2.0 * mass * now.covariance_with_scale
+            of_scale = (mass * calibration.torque_scale_std) ** 2
+            return max(now.std_kg**2 + together + of_scale, 0.0)
+        # nobody knows whether all torque constants are off together or each on its own: the larger covers every mixture
+        counted = float(np.linalg.norm(now.by_share))
+        apart = float(np.linalg.norm(now.by_share * self._apart_std / LEAST_TORQUE_STD))
+        constants = max(apart, abs(mass) * calibration.torque_scale_std)
+        return max(now.std_kg**2 - counted**2, 0.0) + constants**2
 
 
 @dataclass(frozen=True)
@@ -617,6 +626,11 @@ class _ArmPrior:
         self.widest_kg = arm.kg
         self.centre_std_m = centre_std_m
         self.root = spread[:, None] * ways[:, kept] * np.sqrt(size[kept])
+        # covariance of the relative scale of all torques with the state
+        self.with_scale = np.zeros(self.root.shape[1])
+        if calibration.scale_of_load is not None:
+            along = calibration.scale_of_load.covariance / spread
+            self.with_scale = along @ ways[:, kept] / np.sqrt(size[kept])
         # by how much the calibration's terms are off where one torque constant is off by its standard deviation
         self.by_share = calibration.covariance[:, terms.torque_shares] / LEAST_TORQUE_STD
         self.noise = NOISE_FACTOR * np.maximum(calibration.residual, 1e-6)
@@ -740,6 +754,13 @@ class _Filter:
         mass = self._load.start
         variance = self._covariance[mass, mass] * max(self._misfit, 1.0)
         return float(np.sqrt(variance)) * self._prior.widest_kg
+
+    @property
+    def covariance_with_scale(self) -> float:
+        """Of the mass with the relative scale of all torques [kg]."""
+        mass = self._load.start
+        along = self._covariance[mass, self._arm] @ self._prior.with_scale
+        return float(along) * self._prior.widest_kg
 
     @property
     def by_share(self) -> FloatArray:

@@ -12,6 +12,10 @@ from proprio_ros.identification.judge import ACCEPTED, FAR, Refusal, not_identif
 from proprio_ros.identification.reasons import Reason
 from proprio_ros.identification.regression import refusals
 from proprio_ros.identification.regression.error_budget import CALIBRATION
+from proprio_ros.identification.regression.known_load import (
+    KnownLoad,
+    learnt_with,
+)
 from proprio_ros.identification.regression.motion_fit import (
     Centre,
     MotionFit,
@@ -77,14 +81,16 @@ def scaled_by_references(
             ACCEPTED,
             reasons=(Reason("says_too_little", coarse),),
         )
-    scale, variance = _mean_scale(ratios)
-    scale, variance = _with_stated(scale, variance, calibration.torque_scale_std)
+    differ, scale, variance = _mean_scale(ratios)
+    stated = _stated_variance(scale, variance, calibration.torque_scale_std)
+    scaled = replace(open_scale, torque_scale_std=float(np.sqrt(stated)))
+    for reading in readings:
+        if not reading.is_coarse:
+            scaled = learnt_with(scaled, reading.known_load(differ))
     runs = [run_entry(motion, mass_kg) for motion, mass_kg in references]
     by_references = [by_own_spread(reading.fit.spread_evidence) for reading in readings]
     scaled = replace(
-        calibration,
-        torque_scale=scale,
-        torque_scale_std=float(np.sqrt(variance)) / scale,
+        scaled,
         runs=(*calibration.runs, *runs),
         spread_evidence=calibration.spread_evidence + np.sum(by_references, axis=0),
     )
@@ -133,6 +139,15 @@ class _Reading:
             relative * self.fit.parts[CALIBRATION],
         )
 
+    def known_load(self, differ: float) -> KnownLoad:
+        """Of its own mass; ``differ``: by how much more known loads differ from each other than they say, as a ratio of squares."""
+        fit = self.fit
+        solution = fit.solution
+        by_weights = solution.covariance[0] @ solution.information @ solution.covariance[0]
+        # its stretches may scatter by more than the weights say
+        noisier = float(solution.noise()[0, 0] / by_weights) * differ
+        return KnownLoad(self.mass_kg, fit.problem, solution, fit.scatter, noisier)
+
     @property
     def words(self) -> str:
         """The beginning of a sentence about it."""
@@ -178,24 +193,22 @@ def _misplaced(
         yield from refusals.centre_elsewhere(name, centre, reading.fit, free)
 
 
-def _mean_scale(ratios: Sequence[_Ratio]) -> tuple[float, float]:
-    """The mean of ratios by what each has of its own, and its variance: of that each tells apart, of the calibration they do not.
+def _mean_scale(ratios: Sequence[_Ratio]) -> tuple[float, float, float]:
+    """By how much more ratios differ than they say, as a ratio of squares; their mean and its variance.
 
-    Where they differ by more than they say, what they have of their own counts as much as they differ (Birge 1932, Physical
-    Review 40).
+    The mean is by what each has of its own; of that its variance tells apart, of the calibration they do not. Where they differ by
+    more than they say, what they have of their own counts as much as they differ (Birge 1932, Physical Review 40).
     """
     values = np.array([ratio.value for ratio in ratios])
     stds = np.array([ratio.std for ratio in ratios])
     shared = np.array([ratio.shared for ratio in ratios])
     weights = 1.0 / np.maximum(np.square(stds) - np.square(shared), 1e-4 * np.square(stds))
     scale = float(weights @ values / weights.sum())
-    differ = float(weights @ np.square(values - scale)) / max(len(values) - 1, 1)
+    differ = max(1.0, float(weights @ np.square(values - scale)) / max(len(values) - 1, 1))
     in_common = float(weights @ shared / weights.sum())
-    return scale, max(1.0, differ) / float(weights.sum()) + in_common**2
+    return differ, scale, differ / float(weights.sum()) + in_common**2
 
 
-def _with_stated(scale: float, variance: float, stated_std: float) -> tuple[float, float]:
-    """With what a file states of the torque constants, as far as references do not contradict it."""
-    stated = max(stated_std**2, (scale - 1.0) ** 2 - variance)
-    mean = (variance + stated * scale) / (variance + stated)
-    return mean, variance * stated / (variance + stated)
+def _stated_variance(scale: float, variance: float, stated_std: float) -> float:
+    """Of what a file states of the torque constants, as far as references, by their mean and variance, do not contradict it."""
+    return float(max(stated_std**2, (scale - 1.0) ** 2 - variance))
