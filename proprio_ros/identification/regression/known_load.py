@@ -37,7 +37,7 @@ LEAST_EIGENVALUE = (
 
 
 @dataclass(frozen=True)
-class KnownLoad:
+class ReferenceMotion:
     """A motion with a known load, as it is explained with its mass open by a calibration."""
 
     mass_kg: float
@@ -48,7 +48,7 @@ class KnownLoad:
     noisier: float = 1.0
 
 
-def learnt_with(calibration: MotionCalibration, load: KnownLoad) -> MotionCalibration:
+def learnt_with(calibration: MotionCalibration, load: ReferenceMotion) -> MotionCalibration:
     """The calibration with what a known load says of the arm and of the scale of its torques.
 
     Args:
@@ -106,7 +106,7 @@ class _Own:
     averaged: NDArray[np.int64]  # those that are averaged over their spreads, shape (K,)
 
     @classmethod
-    def of(cls, load: KnownLoad) -> _Own:
+    def of(cls, load: ReferenceMotion) -> _Own:
         """Those of a known load's: the payload's parameters, what gears lose under it, and what the recording differs by."""
         problem = load.problem
         solution = load.solution
@@ -125,7 +125,7 @@ class _Own:
         )
 
 
-def _read(calibration: MotionCalibration, load: KnownLoad) -> _Read:
+def _read(calibration: MotionCalibration, load: ReferenceMotion) -> _Read:
     """By the calibration's terms, and a scale of which nothing is known: terms and what is the motion's own are one vector."""
     solution = load.solution
     terms = len(calibration.values)
@@ -170,7 +170,7 @@ def _beside(covariance: FloatArray, stds: FloatArray) -> FloatArray:
     return result
 
 
-def _by_terms_and_own(load: KnownLoad, terms: int, own: _Own) -> FloatArray:
+def _by_terms_and_own(load: ReferenceMotion, terms: int, own: _Own) -> FloatArray:
     """How a motion's unknowns follow an arm's so many terms, P, and what they have of their own, shape (U, P + O)."""
     problem = load.problem
     count = len(own.at)

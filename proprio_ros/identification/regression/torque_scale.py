@@ -13,7 +13,7 @@ from proprio_ros.identification.reasons import Reason
 from proprio_ros.identification.regression import refusals
 from proprio_ros.identification.regression.error_budget import CALIBRATION
 from proprio_ros.identification.regression.known_load import (
-    KnownLoad,
+    ReferenceMotion,
     learnt_with,
 )
 from proprio_ros.identification.regression.motion_fit import (
@@ -139,14 +139,14 @@ class _Reading:
             relative * self.fit.parts[CALIBRATION],
         )
 
-    def known_load(self, differ: float) -> KnownLoad:
+    def known_load(self, differ: float) -> ReferenceMotion:
         """Of its own mass; ``differ``: by how much more known loads differ from each other than they say, as a ratio of squares."""
         fit = self.fit
         solution = fit.solution
         by_weights = solution.covariance[0] @ solution.information @ solution.covariance[0]
         # its stretches may scatter by more than the weights say
         noisier = float(solution.noise()[0, 0] / by_weights) * differ
-        return KnownLoad(self.mass_kg, fit.problem, solution, fit.scatter, noisier)
+        return ReferenceMotion(self.mass_kg, fit.problem, solution, fit.scatter, noisier)
 
     @property
     def words(self) -> str:

@@ -17,7 +17,7 @@ from proprio_ros.identification.regression.at_rest import (
 )
 from proprio_ros.identification.regression.error_budget import CALIBRATION, CONSTANTS
 from proprio_ros.identification.regression.known_load import (
-    KnownLoad,
+    ReferenceMotion,
     covariance_with_scale,
     deviations_with_scale,
     learnt_with,
@@ -74,7 +74,7 @@ def learnt(
     return first, both
 
 
-def explained(robot: Robot, calibration: MotionCalibration, known: tuple) -> KnownLoad:
+def explained(robot: Robot, calibration: MotionCalibration, known: tuple) -> ReferenceMotion:
     """A known load whose recording differs in torque and zeros by nothing: then its posterior is one of plain least squares."""
     motion, kg = known
     fit = fit_payload(robot, [motion], calibration)
@@ -92,11 +92,11 @@ def explained(robot: Robot, calibration: MotionCalibration, known: tuple) -> Kno
     prior = replace(solution.prior, covariance=solution.prior.covariance.copy())
     prior.covariance[0, 0] *= 1e6
     solution = replace(solution, values=values, variability=variability, prior=prior)
-    return KnownLoad(kg, fit.problem, solution, np.zeros_like(fit.scatter))
+    return ReferenceMotion(kg, fit.problem, solution, np.zeros_like(fit.scatter))
 
 
 def by_least_squares(
-    calibration: MotionCalibration, load: KnownLoad
+    calibration: MotionCalibration, load: ReferenceMotion
 ) -> tuple[np.ndarray, np.ndarray]:
     """Terms and inverse scale, and their covariance, of stacked equations: of the motion, and of what was known before."""
     solution = load.solution
