@@ -57,22 +57,23 @@ def learnt_with(calibration: MotionCalibration, load: ReferenceMotion) -> Motion
         load: Its motion.
     """
     terms = len(calibration.values)
-    read = _read(calibration, load)
+    read = _Explained(calibration, load).read()
+    before = 1.0 / calibration.torque_scale
     # the scale as it was known before, given the terms, is one more observation
-    follows = (
-        scale_by_terms(calibration) / -calibration.torque_scale
-    )  # of the inverse of the scale, (P,)
+    follows = -before * scale_by_terms(calibration)  # of the inverse of the scale, (P,)
     along = np.append(-follows, 1.0)
-    variance = scale_variance_alone(calibration) / calibration.torque_scale**2
-    expected = 1.0 / calibration.torque_scale - follows @ calibration.values
-    gain = read.covariance @ along / float(along @ read.covariance @ along + variance)
+    variance = before**2 * scale_variance_alone(calibration)
+    expected = before - follows @ calibration.values
+    spread = read.covariance @ along
+    gain = spread / float(along @ spread + variance)
     values = read.values + gain * (expected - along @ read.values)
     kept = np.eye(terms + 1) - np.outer(gain, along)
-    covariance = kept @ read.covariance @ kept.T + variance * np.outer(gain, gain)
+    covariance = kept @ read.covariance @ kept.T
+    covariance += variance * np.outer(gain, gain)
     deviations = read.deviations @ kept.T
-    before = deviations_with_scale(calibration)
-    of_inverse = before[:, terms] / -calibration.torque_scale - before[:, :terms] @ follows
-    deviations[: len(before)] += of_inverse[:, None] * gain
+    earlier = deviations_with_scale(calibration)
+    of_inverse = -before * earlier[:, terms] - earlier[:, :terms] @ follows
+    deviations[: len(earlier)] += of_inverse[:, None] * gain
     scale = float(1.0 / values[terms])
     return replace(
         calibration,
@@ -81,7 +82,10 @@ def learnt_with(calibration: MotionCalibration, load: ReferenceMotion) -> Motion
         deviations=deviations[:, :terms],
         torque_scale=scale,
         torque_scale_std=scale * float(np.sqrt(covariance[terms, terms])),
-        scale_of_load=LoadScale(-scale * covariance[:terms, terms], -scale * deviations[:, terms]),
+        scale_of_load=LoadScale(
+            -scale * covariance[:terms, terms],
+            -scale * deviations[:, terms],
+        ),
     )
 
 
@@ -114,8 +118,15 @@ class _Own:
         geared = ArmTerms(problem.count, PARAMETERS).load_friction
         kinds = np.tile(solution.variability.kinds, problem.motions)
         of_recording = np.tile(solution.variability.std, problem.motions)
-        followed = np.where(np.isin(kinds, CLOCK), FIXED * of_recording, of_recording)
-        first = np.append(solution.payload_prior, np.full(problem.count, LOAD_FRICTION_SPREAD))
+        followed = np.where(
+            np.isin(kinds, CLOCK),
+            FIXED * of_recording,
+            of_recording,
+        )
+        first = np.append(
+            solution.payload_prior,
+            np.full(problem.count, LOAD_FRICTION_SPREAD),
+        )
         averaged = len(first) + np.flatnonzero(np.isin(kinds, CONSIDERED))
         return cls(
             np.r_[0:PARAMETERS, geared, problem.own(0).start : size],
@@ -125,44 +136,109 @@ class _Own:
         )
 
 
-def _read(calibration: MotionCalibration, load: ReferenceMotion) -> _Read:
-    """By the calibration's terms, and a scale of which nothing is known: terms and what is the motion's own are one vector."""
-    solution = load.solution
-    terms = len(calibration.values)
-    own = _Own.of(load)
-    rows = solution.scaled @ _by_terms_and_own(load, terms, own)  # (E, P + O)
-    information = rows.T @ rows
-    torque = load.problem.torque * solution.weight
-    before = Prior(
-        np.append(calibration.values, np.zeros(len(own.at))),
-        _beside(calibration.covariance, own.followed),
-    )
-    values, covariance = posterior(information, rows.T @ torque, before)
-    # what is averaged over its spreads is as the solution has it; all else follows it
-    averaged = terms + own.averaged
-    among = own.at[own.averaged]
-    precision = np.linalg.inv(covariance[np.ix_(averaged, averaged)])
-    leads = covariance[:, averaged] @ precision  # (P + O, K)
-    values = values + leads @ (solution.values[among] - values[averaged])
-    # of the terms, and of the load's own mass behind them
-    kept = slice(0, terms + 1)
-    by_prior = (np.eye(len(values)) - covariance @ information)[kept]
-    known = _beside(calibration.covariance, own.std)
-    noise = covariance[kept] @ information @ covariance[:, kept]
-    scatter = leads[kept] @ load.scatter[np.ix_(among, among)] @ leads[kept].T
-    pulls = scores(rows, solution.residual * solution.weight, load.problem) @ covariance[:, kept]
-    deviations = np.vstack([calibration.deviations @ by_prior[:, :terms].T, pulls])
-    # a load of a known mass says its inverse scale
-    to_scale = np.append(np.ones(terms), 1.0 / load.mass_kg)
-    whole = by_prior @ known @ by_prior.T + load.noisier * noise + scatter
-    return _Read(
-        values[kept] * to_scale,
-        whole * np.outer(to_scale, to_scale),
-        deviations * to_scale,
-    )
+class _Explained:
+    """A known load's motion by the arm's P terms and by what the motion has of its own, which are one vector.
+
+    Of the scale of the torques nothing is known here: the load's mass is one of what is its own.
+    """
+
+    def __init__(
+        self,
+        calibration: MotionCalibration,
+        load: ReferenceMotion,
+    ) -> None:
+        solution = load.solution
+        terms = len(calibration.values)
+        own = _Own.of(load)
+        before = Prior(
+            np.append(
+                calibration.values,
+                np.zeros(len(own.at)),
+            ),
+            _beside(
+                calibration.covariance,
+                own.followed,
+            ),
+        )
+        self._calibration = calibration
+        self._load = load
+        self._own = own
+        self._rows = solution.scaled @ _by_terms_and_own(load, terms, own)  # (E, P + O)
+        self._information = self._rows.T @ self._rows
+        torque = load.problem.torque * solution.weight
+        values, covariance = posterior(
+            self._information,
+            self._rows.T @ torque,
+            before,
+        )
+        # what is averaged over its spreads is as the solution has it; all else follows it
+        averaged = terms + own.averaged
+        self._among = own.at[own.averaged]
+        precision = np.linalg.inv(covariance[np.ix_(averaged, averaged)])
+        self._leads = covariance[:, averaged] @ precision  # (P + O, K)
+        off = solution.values[self._among] - values[averaged]
+        self._values = values + self._leads @ off
+        self._covariance = covariance
+        # the terms, and the load's own mass behind them
+        self._kept = slice(0, terms + 1)
+
+    def read(self) -> _Read:
+        """Terms and inverse scale: a load of a known mass says the latter."""
+        terms = self._kept.stop - 1
+        to_scale = np.append(
+            np.ones(terms),
+            1.0 / self._load.mass_kg,
+        )
+        by_prior = self._by_prior()
+        return _Read(
+            self._values[self._kept] * to_scale,
+            self._errors(by_prior) * np.outer(to_scale, to_scale),
+            self._deviations(by_prior) * to_scale,
+        )
+
+    def _by_prior(self) -> FloatArray:
+        """How terms and mass follow what was known before, shape (P + 1, P + O)."""
+        size = len(self._values)
+        by_data = self._covariance @ self._information
+        result: FloatArray = (np.eye(size) - by_data)[self._kept]
+        return result
+
+    def _errors(self, by_prior: FloatArray) -> FloatArray:
+        """Of terms and mass, by all they err by: covariance, shape (P + 1, P + 1)."""
+        known = _beside(
+            self._calibration.covariance,
+            self._own.std,
+        )
+        of_known = by_prior @ known @ by_prior.T
+        mine = self._covariance[self._kept]
+        noise = mine @ self._information @ mine.T
+        leads = self._leads[self._kept]
+        scatter = self._load.scatter[np.ix_(self._among, self._among)]
+        result: FloatArray = of_known + self._load.noisier * noise + leads @ scatter @ leads.T
+        return result
+
+    def _deviations(self, by_prior: FloatArray) -> FloatArray:
+        """Which way stretches of the calibration and of the load pull terms and mass, shape (stretches, P + 1)."""
+        solution = self._load.solution
+        terms = self._kept.stop - 1
+        earlier = self._calibration.deviations @ by_prior[:, :terms].T
+        pulls = scores(
+            self._rows,
+            solution.residual * solution.weight,
+            self._load.problem,
+        )
+        return np.vstack(
+            [
+                earlier,
+                pulls @ self._covariance[:, self._kept],
+            ]
+        )
 
 
-def _beside(covariance: FloatArray, stds: FloatArray) -> FloatArray:
+def _beside(
+    covariance: FloatArray,
+    stds: FloatArray,
+) -> FloatArray:
     """Covariance of some unknowns, and of others of so large standard deviations that are independent."""
     count = len(covariance)
     result = np.diag(np.append(np.zeros(count), np.square(stds)))
@@ -170,7 +246,11 @@ def _beside(covariance: FloatArray, stds: FloatArray) -> FloatArray:
     return result
 
 
-def _by_terms_and_own(load: ReferenceMotion, terms: int, own: _Own) -> FloatArray:
+def _by_terms_and_own(
+    load: ReferenceMotion,
+    terms: int,
+    own: _Own,
+) -> FloatArray:
     """How a motion's unknowns follow an arm's so many terms, P, and what they have of their own, shape (U, P + O)."""
     problem = load.problem
     count = len(own.at)
@@ -205,7 +285,11 @@ def scale_by_terms(calibration: MotionCalibration) -> FloatArray:
         return np.zeros(len(calibration.values))
     std = np.sqrt(np.diag(calibration.covariance))
     correlation = calibration.covariance / std[:, None] / std
-    inverse = np.linalg.pinv(correlation, rcond=LEAST_EIGENVALUE, hermitian=True)
+    inverse = np.linalg.pinv(
+        correlation,
+        rcond=LEAST_EIGENVALUE,
+        hermitian=True,
+    )
     result: FloatArray = inverse @ (calibration.scale_of_load.covariance / std) / std
     return result
 

@@ -11,6 +11,7 @@ from support.arm_in_motion import FOUR, Twin, write_robot
 
 from proprio_ros.calibration_files.motions import MotionCalibration
 from proprio_ros.identification.regression.at_rest import (
+    RestFit,
     Stances,
     _by_stances,
     _StanceEquations,
@@ -42,6 +43,8 @@ LOADS_KG = (0.2, 0.15)
 CENTRE_M = np.array([0.01, 0.0, 0.0])
 SCALE = 0.9  # true torque over that of the robot file's constants
 NOTHING = 1e-7
+STEP = 1e-2  # Of differences, in standard deviations.
+POSES = np.array([[0.3, 0.9, -0.7, 0.4], [0.0, 0.5, 0.6, -0.3], [-0.4, 1.2, -0.2, 0.8]])
 
 
 @pytest.fixture(scope="module")
@@ -95,43 +98,49 @@ def explained(robot: Robot, calibration: MotionCalibration, known: tuple) -> Ref
     return ReferenceMotion(kg, fit.problem, solution, np.zeros_like(fit.scatter))
 
 
+def known_before(calibration: MotionCalibration) -> tuple[np.ndarray, np.ndarray]:
+    """Terms and inverse scale, and their covariance."""
+    inverse = 1.0 / calibration.torque_scale
+    relative = np.append(np.ones(len(calibration.values)), -inverse)
+    return (
+        np.append(calibration.values, inverse),
+        covariance_with_scale(calibration) * np.outer(relative, relative),
+    )
+
+
+def stds_of_own(load: ReferenceMotion) -> dict[int, float]:
+    """Standard deviation of what the motion has of its own beside arm and mass, by where it stands among its unknowns."""
+    joints = load.problem.count
+    geared = PAYLOAD + 11 * joints
+    stds = {n: load.solution.payload_prior[n] for n in range(1, PAYLOAD)}
+    stds |= {geared + n: LOAD_FRICTION_SPREAD for n in range(joints)}
+    first = load.problem.own(0).start
+    return stds | {first + n: std for n, std in enumerate(load.solution.variability.std)}
+
+
 def by_least_squares(
     calibration: MotionCalibration, load: ReferenceMotion
 ) -> tuple[np.ndarray, np.ndarray]:
     """Terms and inverse scale, and their covariance, of stacked equations: of the motion, and of what was known before."""
-    solution = load.solution
-    terms = len(calibration.values)
-    joints = load.problem.count
-    scale = calibration.torque_scale
-    relative = np.append(np.ones(terms), -1.0 / scale)
-    before = covariance_with_scale(calibration) * np.outer(relative, relative)
-    own_stds = {
-        **{n: solution.payload_prior[n] for n in range(1, PAYLOAD)},
-        **{PAYLOAD + 11 * joints + n: LOAD_FRICTION_SPREAD for n in range(joints)},
-    }
-    first = load.problem.own(0).start
-    own_stds |= {first + n: std for n, std in enumerate(solution.variability.std)}
-    unknowns = np.zeros((len(solution.values), terms + 1 + len(own_stds)))
-    unknowns[0, terms] = load.mass_kg
-    unknowns[PAYLOAD:, :terms] = calibrated_terms(joints, 1)
-    for column, at in enumerate(own_stds, start=terms + 1):
-        unknowns[at, column] = 1.0
+    mean, before = known_before(calibration)
+    own_stds = stds_of_own(load)
+    known = len(mean)
+    unknowns = np.zeros((len(load.solution.values), known + len(own_stds)))
+    unknowns[0, known - 1] = load.mass_kg
+    unknowns[PAYLOAD:, : known - 1] = calibrated_terms(load.problem.count, 1)
+    unknowns[list(own_stds), range(known, known + len(own_stds))] = 1.0
     stds = np.append(np.sqrt(np.diag(before)), list(own_stds.values()))
-    rows = solution.scaled @ unknowns * stds
-    right = load.problem.torque * solution.weight
+    kept = slice(0, known)
+    sizes = np.outer(stds, stds)[kept, kept]
     correlation = np.eye(len(stds))
-    correlation[: terms + 1, : terms + 1] = before / np.outer(stds, stds)[: terms + 1, : terms + 1]
+    correlation[kept, kept] = before / sizes
     whiten = np.linalg.inv(np.linalg.cholesky(correlation))
-    mean = np.zeros(len(stds))
-    mean[:terms] = calibration.values
-    mean[terms] = 1.0 / scale
-    stacked = np.vstack([rows, whiten])
-    whole = np.append(right, whiten @ (mean / stds))
-    found = np.linalg.lstsq(stacked, whole, rcond=None)[0]
+    stacked = np.vstack([load.solution.scaled @ unknowns * stds, whiten])
+    torque = load.problem.torque * load.solution.weight
+    right = np.append(torque, whiten[:, kept] @ (mean / stds[kept]))
     inverse = np.linalg.pinv(stacked)
-    kept = slice(0, terms + 1)
-    covariance = (inverse @ inverse.T)[kept, kept] * np.outer(stds[kept], stds[kept])
-    return (found * stds)[kept], covariance
+    covariance = inverse @ inverse.T
+    return (inverse @ right * stds)[kept], covariance[kept, kept] * sizes
 
 
 @pytest.mark.parametrize("before", [0, 1])
@@ -194,47 +203,59 @@ def test_deviations_are_how_the_answer_follows_what_was_known(
     assert by_scale / now.torque_scale == pytest.approx(pull[-1], abs=5e-3 * now.torque_scale_std)
 
 
+class Standing:
+    """An arm in three poses that holds a mass, whose torques are as its calibration has them."""
+
+    def __init__(
+        self,
+        robot: Robot,
+        calibration: MotionCalibration,
+        mass_kg: float,
+    ) -> None:
+        self.calibration = calibration
+        self.arm = Arm.of(robot, calibration.joints, {})
+        nothing = np.zeros_like(POSES)
+        self.place = (CENTRE_M, np.full(3, 1e-4))
+        unloaded = Stances(POSES, nothing, nothing)
+        equations = _StanceEquations(self.arm, calibration, unloaded, *self.place)
+        torque = mass_kg * equations.lever - equations.errors(mass_kg).right
+        current_A = torque.reshape(POSES.shape) / calibration.torque_constants
+        self.stood = Stances(POSES, current_A, nothing)
+
+    def fit(self, along: np.ndarray) -> RestFit:
+        """By a calibration whose terms and relative scale are moved."""
+        known = self.calibration
+        moved = replace(
+            known,
+            values=known.values + along[:-1],
+            torque_scale=known.torque_scale * (1.0 + along[-1]),
+        )
+        return _by_stances(self.arm, moved, self.stood, *self.place)
+
+
 @pytest.mark.parametrize("mass_kg", [0.0, 0.1, 0.2, 0.5])
 def test_what_stands_follows_terms_and_scale_together(
     robot: Robot,
     learnt: tuple,
     mass_kg: float,
 ) -> None:
-    """Against differences along each axis of their covariance, of an arm in three poses."""
+    """Against differences along each axis of their covariance."""
     known = learnt[1]
-    assert known.scale_of_load is not None
+    scale = known.scale_of_load
     calibration = replace(
         known,
         friction_spread=np.zeros_like(known.friction_spread),
         deviations=np.zeros_like(known.deviations),
-        scale_of_load=replace(
-            known.scale_of_load, deviations=np.zeros_like(known.scale_of_load.deviations)
-        ),
+        scale_of_load=replace(scale, deviations=np.zeros_like(scale.deviations)),
     )
-    arm = Arm.of(robot, calibration.joints, {})
-    place = (CENTRE_M, np.full(3, 1e-4))
-    poses = np.array([[0.3, 0.9, -0.7, 0.4], [0.0, 0.5, 0.6, -0.3], [-0.4, 1.2, -0.2, 0.8]])
-    nothing = np.zeros_like(poses)
-    equations = _StanceEquations(arm, calibration, Stances(poses, nothing, nothing), *place)
-    torque = mass_kg * equations.lever - equations.errors(mass_kg).right
-    current_A = torque.reshape(poses.shape) / calibration.torque_constants
-    stood = Stances(poses, current_A, nothing)
+    standing = Standing(robot, calibration, mass_kg)
     sizes, axes = np.linalg.eigh(covariance_with_scale(calibration))
-    step = 1e-2
-
-    def weighed(along: np.ndarray) -> float:
-        other = replace(
-            calibration,
-            values=calibration.values + along[:-1],
-            torque_scale=calibration.torque_scale * (1.0 + along[-1]),
-        )
-        return _by_stances(arm, other, stood, *place).mass_kg
-
     follows = []
     for size, axis in zip(sizes, axes.T, strict=True):
-        along = step * np.sqrt(max(size, 0.0)) * axis
-        follows.append((weighed(along) - weighed(-along)) / (2.0 * step))
-    fit = _by_stances(arm, calibration, stood, *place)
+        along = STEP * np.sqrt(max(size, 0.0)) * axis
+        change = standing.fit(along).mass_kg - standing.fit(-along).mass_kg
+        follows.append(change / (2.0 * STEP))
+    fit = standing.fit(np.zeros(len(axes)))
     assert fit.mass_kg == pytest.approx(mass_kg, abs=1e-4)
     found = np.hypot(fit.parts[CALIBRATION], fit.parts[CONSTANTS])
     assert found == pytest.approx(np.linalg.norm(follows), rel=0.02)
