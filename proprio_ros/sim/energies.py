@@ -76,7 +76,13 @@ def small_strain_lame(
     mu: float,
     lam: float,
 ) -> tuple[float, float]:
-    """The Lamé parameters of Hooke's law that a law with these parameters starts with [Pa]."""
+    """The Lamé parameters of Hooke's law that a law with these parameters starts with [Pa].
+
+    Args:
+        law: Its name.
+        mu: Its first parameter [Pa].
+        lam: Its second [Pa].
+    """
     return (0.75 * mu, lam - 0.625 * mu) if law == "warp_compat" else (mu, lam)
 
 
@@ -85,12 +91,27 @@ def lame_of_small_strain(
     mu: float,
     lam: float,
 ) -> tuple[float, float]:
-    """The parameters with which a law starts as Hooke's law does with these: ``small_strain_lame`` the other way round [Pa]."""
+    """The parameters with which a law starts as Hooke's law does: `small_strain_lame` the other way round [Pa].
+
+    Args:
+        law: Its name.
+        mu: Shear modulus at small strain [Pa].
+        lam: Lamé's first parameter at small strain [Pa].
+    """
     return (mu / 0.75, lam + 0.625 / 0.75 * mu) if law == "warp_compat" else (mu, lam)
 
 
 def check_material(law: str, mu: float, lam: float) -> None:
-    """Refuse what no solid is made of. Raises `SimulationError`: Shear or bulk modulus at small strain not above zero."""
+    """Refuse what no solid is made of.
+
+    Args:
+        law: Its name.
+        mu: Its first parameter [Pa].
+        lam: Its second [Pa].
+
+    Raises:
+        SimulationError: Shear or bulk modulus at small strain not above zero.
+    """
     shear, lame_lambda = small_strain_lame(law, mu, lam)
     if not (np.isfinite([mu, lam]).all() and shear > 0.0 and 3.0 * lame_lambda + 2.0 * shear > 0.0):
         raise SimulationError(

@@ -53,7 +53,15 @@ def limited_current(
     emf: FLOAT,
     ohm: FLOAT,
 ):
-    """The current that flows, and its derivative by the velocity."""
+    """The current that flows, and its derivative by the velocity.
+
+    Args:
+        command: Current that is asked for [A].
+        v: Velocity of the joint [rad/s].
+        volt: Of the supply [V]; 0: no limit.
+        emf: Voltage per velocity [V s/rad].
+        ohm: Resistance of the windings [ohm].
+    """
     i = command
     slope = FLOAT(0.0)
     if volt > FLOAT(0.0):
@@ -98,7 +106,22 @@ def linearised_acceleration(directions: int, stribeck: bool) -> Any:
         constants: FLOATS,
         r: wp.int32,
     ):
-        """``load`` is what neither angle nor speed changes."""
+        """Acceleration [rad/s^2] and its tangents.
+
+        Args:
+            q: Position [rad].
+            v: Velocity [rad/s].
+            dq: Tangents of the position.
+            dv: Of the velocity.
+            command: Current [A].
+            load: Torque that neither angle nor speed changes [N m].
+            d_load: Its tangents.
+            p: Parameters of each world, shape (W, P), in the order of `INDEX`.
+            dp: Their derivatives by the directions, shape (W, P).
+            w: Row of the world.
+            constants: Of the runs, a row each.
+            r: Row of the run.
+        """
         current, current_by_v = limited_current(
             command, v, constants[r, VOLTAGE], constants[r, BACK_EMF], constants[r, RESISTANCE]
         )
@@ -163,6 +186,15 @@ def standstill(state: Any, data_type: Any) -> Any:
         r: wp.int32,
         step: FLOAT,
     ):
+        """Whether the joint is, or may come within a step, near standstill.
+
+        Args:
+            y: State.
+            k: What it changes by.
+            data: Of the runs.
+            r: Row of the run.
+            step: Of time [s].
+        """
         return (
             wp.abs(y[1]) < FLOAT(20.0) * data.constants[r, FRICTION_VELOCITY] + wp.abs(k[1]) * step
         )
@@ -171,7 +203,13 @@ def standstill(state: Any, data_type: Any) -> Any:
 
 
 def one_joint_law(directions: int, data_type: Any, rates: Any) -> Law:
-    """The law of a state (q, v), whatever its rates."""
+    """The law of a state (q, v), whatever its rates.
+
+    Args:
+        directions: How many tangents are carried.
+        data_type: Of what is known about the runs.
+        rates: Warp function of what a state changes by.
+    """
     vec = wp.types.vector(length=directions, dtype=FLOAT)
     mat = wp.types.matrix(shape=(2, directions), dtype=FLOAT)
 
@@ -189,6 +227,15 @@ def one_joint_law(directions: int, data_type: Any, rates: Any) -> Law:
         data: data_type,
         r: wp.int32,
     ):
+        """Where a run begins.
+
+        Args:
+            p: Parameters of each world, shape (W, P), in the order of `INDEX`.
+            dp: Their derivatives by the directions, shape (W, P).
+            w: Row of the world.
+            data: Of the runs.
+            r: Row of the run.
+        """
         return VEC2(p[w, Q0], p[w, V0]), wp.matrix_from_rows(
             dp[w, Q0],
             dp[w, V0],
@@ -205,6 +252,18 @@ def one_joint_law(directions: int, data_type: Any, rates: Any) -> Law:
         data: data_type,
         r: wp.int32,
     ):
+        """What the state z changes by, as a state.
+
+        Args:
+            y: State at the begin of the step.
+            dy: Its tangents.
+            z: State now.
+            dz: Its tangents.
+            k: What z changes by.
+            dk: Its tangents.
+            data: Of the runs.
+            r: Row of the run.
+        """
         return VEC2(z[1], k[1]), wp.matrix_from_rows(
             dz[1],
             dk[1],
@@ -220,6 +279,17 @@ def one_joint_law(directions: int, data_type: Any, rates: Any) -> Law:
         lead: FLOAT,
         d_lead: vec,
     ):
+        """Write down one sample.
+
+        Args:
+            out: Where.
+            w: Row of the world.
+            k: Number of the sample.
+            y: State.
+            dy: Its tangents.
+            lead: How long before that the encoder is read, not above 0 [s].
+            d_lead: Its tangents.
+        """
         out.v[w, k] = y[1]
         if lead < FLOAT(0.0):
             out.q[w, k] = y[0] + y[1] * lead
@@ -262,6 +332,18 @@ def joint_law(directions: int, stribeck: bool) -> Law:
         data: JointData,
         r: wp.int32,
     ):
+        """What a state changes by, with its tangents.
+
+        Args:
+            y: Position and velocity.
+            dy: Their tangents.
+            u: Inputs at this time.
+            p: Parameters of each world, shape (W, P), in the order of `INDEX`.
+            dp: Their derivatives by the directions, shape (W, P).
+            w: Row of the world.
+            data: Of the runs.
+            r: Row of the run.
+        """
         load = p[w, GRAVITY_CONSTANT] + u[LOAD] + p[w, CARRIED] * u[LOAD_PER_KG]
         d_load = dp[w, GRAVITY_CONSTANT] + u[LOAD_PER_KG] * dp[w, CARRIED]
         a, da = linearised(

@@ -104,7 +104,13 @@ class Elastic:
     def linearised(
         self, points: np.ndarray, mu: float, lam: float
     ) -> tuple[float, np.ndarray, csc_matrix]:
-        """Energy [J], dE/dx (N, 3) [N] and its derivative (3N, 3N) [N/m]."""
+        """Energy [J], dE/dx (N, 3) [N] and its derivative (3N, 3N) [N/m].
+
+        Args:
+            points: Where the nodes are [m], shape (N, 3).
+            mu: First parameter of the law [Pa].
+            lam: Second [Pa].
+        """
         f = self.deformation(points)
         w, by_f, tangent = shear_energy(self.law, f)
         j, j_by_f, j_curvature = volume(self.law, f)
@@ -206,9 +212,15 @@ class QuasiStatic:
         mu: float,
         lam: float,
     ) -> SqueezeCurve:
-        """Equilibria at squeezes (K,) [m] for Lamé parameters [Pa], reached from rest one after the other.
+        """Equilibria at squeezes, reached from rest one after the other.
 
-        Raises `SimulationError`: No such solid, a squeeze of the whole length, or no equilibrium found.
+        Args:
+            squeeze: By how much the block is shortened [m], shape (K,).
+            mu: First parameter of the law [Pa].
+            lam: Second [Pa].
+
+        Raises:
+            SimulationError: No such solid, a squeeze of the whole length, or no equilibrium found.
         """
         check_material(self.elastic.law, mu, lam)
         squeeze = np.asarray(squeeze, dtype=np.float64)

@@ -135,10 +135,14 @@ def build(
     cells: int = CELLS,
     far: bool = False,
 ) -> Response:
-    """Compute a table for a block with such edges [m], x along the squeeze, shape (3,); half a minute for bonded faces.
+    """Compute a table for a block; half a minute for bonded faces.
 
-    Only the ratios of the edges matter; cells are of an octant along a mean edge. ``far``: as ``FARTHEST`` says, where
-    that can be; tables of one simulator must reach equally far.
+    Args:
+        size: Edges [m], x along the squeeze, shape (3,); only their ratios matter.
+        law: Of the material.
+        contact: With the fingers.
+        cells: Of an octant, along a mean edge.
+        far: As `FARTHEST` says, where that can be; tables of one simulator must reach equally far.
 
     Raises:
         SimulationError: Unknown law or contact, or a block of such a shape cannot be squeezed that far.
@@ -191,7 +195,15 @@ def response(
     rebuild: bool = False,
     far: bool = False,
 ) -> Response:
-    """As ``build``: from the cache, unless it is to be rebuilt, or built and put there."""
+    """As `build`: from the cache, or built and put there.
+
+    Args:
+        size: Edges [m], x along the squeeze, shape (3,).
+        law: Of the material.
+        contact: With the fingers.
+        rebuild: Whether it is built anew.
+        far: As for `build`.
+    """
     made_of = _made_of(size, law, contact, CELLS, far)
     return _kept(made_of, rebuild, lambda: build(size, law, contact, CELLS, far))
 
@@ -199,7 +211,14 @@ def response(
 def response_of_mesh(
     mesh: TetMesh, law: str = "log", contact: str = "bonded", rebuild: bool = False
 ) -> Response:
-    """As ``response``, for a whole block that is no box, of ``mesh.length`` and ``mesh.area``; minutes for a thousand nodes."""
+    """As `response`, for a whole block that is no box; minutes for a thousand nodes.
+
+    Args:
+        mesh: Of the block, of its own ``length`` and ``area``.
+        law: Of the material.
+        contact: With the fingers.
+        rebuild: Whether it is built anew.
+    """
     solver = QuasiStatic(mesh, law, contact)
     content = b"".join(
         np.ascontiguousarray(part).tobytes() for part in (mesh.points, mesh.tets, mesh.cells)

@@ -45,7 +45,15 @@ def tabulated(
     grid: wp.array(dtype=FLOAT),
     nodes: wp.array3d(dtype=VEC4),
 ):
-    """phi, dphi/ds and dphi/dnu of one of several tables over the same grid: ``Response.__call__`` for kernels."""
+    """phi, dphi/ds and dphi/dnu of one of several tables over the same grid: ``Response.__call__`` for kernels.
+
+    Args:
+        s: Squeeze over length.
+        nu: Poisson's ratio.
+        table: Which one.
+        grid: First value and step of each axis.
+        nodes: Values and derivatives at the nodes, shape (tables, rows, columns).
+    """
     rows = nodes.shape[1] - 1
     columns = nodes.shape[2] - 1
     zero = FLOAT(0.0)

@@ -87,6 +87,21 @@ def rollout(law: Law, integrator: str) -> Any:
         # World data out:
         out: law.out,
     ):
+        """Roll one world out.
+
+        Args:
+            sample_times: Of each run [s].
+            sample_count: How many these are.
+            input_times: When inputs change [s].
+            inputs: From then on.
+            input_count: How many these are.
+            steps: Coarse and fine step of each run [s].
+            data: What else is known about the runs.
+            world_run: The run of each world.
+            p: Parameters of each world, shape (W, P), in the order of `INDEX`.
+            dp: Their derivatives by the directions, shape (W, P).
+            out: Positions, velocities and tangents.
+        """
         w = wp.tid()
         r = world_run[w]
         delay = p[w, delay_column]

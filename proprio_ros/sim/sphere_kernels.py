@@ -61,6 +61,15 @@ def joined_state(
     u: VEC3,
     s: VEC3,
 ):
+    """All of one state.
+
+    Args:
+        q: Position of the joint [rad].
+        v: Its velocity [rad/s].
+        x: Place of the sphere [m].
+        u: Its velocity [m/s].
+        s: Its spin [rad/s].
+    """
     return STATE(
         q,
         v,
@@ -91,6 +100,13 @@ class SphereData:
 
 @wp.func
 def triple(table: FLOATS, row: wp.int32, column: wp.int32):
+    """Three numbers of a table that stand beside each other.
+
+    Args:
+        table: Any.
+        row: Of the first.
+        column: Of the first.
+    """
     return VEC3(
         table[row, column],
         table[row, column + 1],
@@ -117,7 +133,14 @@ def _cross_of(a: VEC3):
 
 @wp.func
 def container_velocity(x: VEC3, axis: VEC3, origin: VEC3, turn: FLOAT):
-    """Velocity of the container at x per velocity of the joint."""
+    """Velocity of the container at a place per velocity of the joint.
+
+    Args:
+        x: The place [m].
+        axis: Of the joint.
+        origin: A point on it [m].
+        turn: 1 where the joint turns, 0 where it slides.
+    """
     return turn * wp.cross(axis, x - origin) + (FLOAT(1.0) - turn) * axis
 
 
@@ -182,7 +205,14 @@ def start_of(
     geometry: FLOATS,
     run: wp.int32,
 ):
-    """Position, velocity and spin of a sphere that moves with the container."""
+    """Position, velocity and spin of a sphere that moves with the container.
+
+    Args:
+        p: Parameters of each world, shape (W, P).
+        world: Row of the world.
+        geometry: Of the runs, a row each.
+        run: Row of the run.
+    """
     x = triple(p, world, START_X)
     axis = triple(geometry, run, AXIS)
     turn = geometry[run, TURNS]
@@ -196,7 +226,14 @@ def start_of(
 
 @cache
 def sphere_law(directions: int, stribeck: bool, shape: str, law: str) -> Law:
-    """Joint and sphere with tangents; the state is q, v, then the sphere's position, velocity and spin."""
+    """Joint and sphere with tangents; the state is q, v, then the sphere's position, velocity and spin.
+
+    Args:
+        directions: How many tangents are carried.
+        stribeck: Whether friction rises towards standstill.
+        shape: Of the container.
+        law: Of contact.
+    """
     vec = wp.types.vector(length=directions, dtype=FLOAT)
     mat = wp.types.matrix(shape=(3, directions), dtype=FLOAT)
     whole = wp.types.matrix(shape=(11, directions), dtype=FLOAT)
@@ -223,7 +260,25 @@ def sphere_law(directions: int, stribeck: bool, shape: str, law: str) -> Law:
         geometry: FLOATS,
         run: wp.int32,
     ):
-        """Force per kilogram of one contact, what it does to spin and joint, and the tangents of all three."""
+        """Force per kilogram of one contact, what it does to spin and joint, and the tangents of all three.
+
+        Args:
+            depth: Of the sphere in the wall [m].
+            n: Inward normal of the wall.
+            x: Place of the sphere [m].
+            u: Its velocity [m/s].
+            s: Its spin [rad/s].
+            v: Velocity of the joint [rad/s].
+            dx: Tangents of the place.
+            du: Of the velocity.
+            ds: Of the spin.
+            dv: Of the joint's velocity.
+            p: Parameters of each world, shape (W, P).
+            dp: Their derivatives by the directions, shape (W, P).
+            world: Row of the world.
+            geometry: Of the runs, a row each.
+            run: Row of the run.
+        """
         axis = triple(geometry, run, AXIS)
         origin = triple(geometry, run, ORIGIN)
         turn = geometry[run, TURNS]
@@ -335,6 +390,15 @@ def sphere_law(directions: int, stribeck: bool, shape: str, law: str) -> Law:
         data: SphereData,
         r: wp.int32,
     ):
+        """Where a run begins.
+
+        Args:
+            p: Parameters of each world, shape (W, P), in the order of `INDEX`.
+            dp: Their derivatives by the directions, shape (W, P).
+            w: Row of the world.
+            data: Of the runs.
+            r: Row of the run.
+        """
         x, u, s = start_of(p, w, data.geometry, r)
         axis = triple(data.geometry, r, AXIS)
         turn = data.geometry[r, TURNS]
@@ -368,6 +432,15 @@ def sphere_law(directions: int, stribeck: bool, shape: str, law: str) -> Law:
         du: mat,
         ds: mat,
     ):
+        """All tangents of one state.
+
+        Args:
+            dq: Of the joint's position.
+            dv: Of its velocity.
+            dx: Of the sphere's place.
+            du: Of its velocity.
+            ds: Of its spin.
+        """
         return wp.matrix_from_rows(
             dq, dv, dx[0], dx[1], dx[2], du[0], du[1], du[2], ds[0], ds[1], ds[2]
         )
@@ -391,6 +464,18 @@ def sphere_law(directions: int, stribeck: bool, shape: str, law: str) -> Law:
         data: SphereData,
         run: wp.int32,
     ):
+        """What a state changes by, with its tangents.
+
+        Args:
+            y: State.
+            dy: Its tangents.
+            given: Inputs at this time.
+            p: Parameters of each world, shape (W, P).
+            dp: Their derivatives by the directions, shape (W, P).
+            world: Row of the world.
+            data: Of the runs.
+            run: Row of the run.
+        """
         q = y[0]
         v = y[1]
         x = part(y, 2)
@@ -464,6 +549,18 @@ def sphere_law(directions: int, stribeck: bool, shape: str, law: str) -> Law:
         data: SphereData,
         r: wp.int32,
     ):
+        """What the state z changes by, as a state; the sphere moves in the container.
+
+        Args:
+            y: State at the begin of the step.
+            dy: Its tangents.
+            z: State now.
+            dz: Its tangents.
+            k: What z changes by.
+            dk: Its tangents.
+            data: Of the runs.
+            r: Row of the run.
+        """
         axis = triple(data.geometry, r, AXIS)
         turn = data.geometry[r, TURNS]
         lever = container_velocity(
@@ -500,6 +597,17 @@ def sphere_law(directions: int, stribeck: bool, shape: str, law: str) -> Law:
         lead: FLOAT,
         d_lead: vec,
     ):
+        """Write down one sample.
+
+        Args:
+            out: Where.
+            w: Row of the world.
+            k: Number of the sample.
+            y: State.
+            dy: Its tangents.
+            lead: How long before that the encoder is read, not above 0 [s].
+            d_lead: Its tangents.
+        """
         out.v[w, k] = y[1]
         if lead < FLOAT(0.0):
             out.q[w, k] = y[0] + y[1] * lead

@@ -52,7 +52,16 @@ def excitation_of_block(
     data: SqueezeData,
     run: wp.int32,
 ):
-    """Load of the block on the joint, and its derivatives: by q and v, by E, nu, eta and gap, and by the loss."""
+    """Load of the block on the joint, and its derivatives: by q and v, by E, nu, eta and gap, and by the loss.
+
+    Args:
+        q: Position of the joint [rad].
+        v: Its velocity [rad/s].
+        p: Parameters of each world, shape (W, P).
+        world: Row of the world.
+        data: Of the runs.
+        run: Row of the run.
+    """
     zero = FLOAT(0.0)
     block = data.block
     length = block[run, LENGTH]
@@ -121,6 +130,18 @@ def squeeze_law(directions: int, stribeck: bool) -> Law:
         data: SqueezeData,
         r: wp.int32,
     ):
+        """What a state changes by, with its tangents.
+
+        Args:
+            y: Position and velocity.
+            dy: Their tangents.
+            u: Inputs at this time.
+            p: Parameters of each world, shape (W, P), in the order of `INDEX`.
+            dp: Their derivatives by the directions, shape (W, P).
+            w: Row of the world.
+            data: Of the runs.
+            r: Row of the run.
+        """
         load, by_q, by_v, by_p, by_loss = excitation_of_block(
             y[0],
             y[1],
