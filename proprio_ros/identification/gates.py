@@ -95,7 +95,7 @@ def unusable(run: PreparedRun) -> str:
     """Why a run is of no use, or an empty string."""
     if run.used < MIN_USED:
         return sentences.few_samples(run.used, run.cut_reason or "the probe was too short")
-    jump = "" if run.run.is_free_response else held_jump(run)
+    jump = held_jump(run)
     if jump:
         return sentences.position_jumps(jump)
     if abs(run.travel) < STUCK_TRAVEL:

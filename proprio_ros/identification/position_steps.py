@@ -33,7 +33,7 @@ def held_jump(run: PreparedRun) -> str:
     brakes = _brakes(run)
     worst = JUMP_STDS * run.drive.reading_std
     said = ""
-    for name in run.coefficients.pose:
+    for name in run.kind.yielding(run.coefficients.pose):
         readings = run.run.held_position.get(name)
         if readings is None or len(readings) < 2 * NEAR + 2:
             continue
