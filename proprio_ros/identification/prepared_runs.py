@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -78,7 +79,7 @@ class PreparedRun:
     # standard deviation of the motor's torque by what its command says otherwise than the motor did [N m]
     current_torque_std: float = 0.0
 
-    @property
+    @cached_property
     def kind(self) -> Push:
         return kind_of(self.run)
 

@@ -361,10 +361,9 @@ class Problem:
         for kind in run.kind.kept_rise:
             column = self.index[kind, run.run.joint]
             p[:, INDEX[kind]] = self.base[column]
-        for key, parameter in self._direct(row).items():
-            column = self.index[key]
-            p[:, INDEX[parameter]] += values[:, column]
-            dp[:, INDEX[parameter], column] = 1.0
+        for column, parameter in self._direct[row].items():
+            p[:, parameter] += values[:, column]
+            dp[:, parameter, column] = 1.0
         self._disturb(row, p, dp, values)
         if ("friction_change", row) in self.index:
             self._change_friction(row, p, dp, values)
@@ -376,18 +375,22 @@ class Problem:
             p[:, INDEX["carried"]] = run.load.mass
         self._start_reading(row, p, dp, values)
 
-    def _direct(self, row: int) -> dict[Key, str]:
-        """Which unknowns are parameters of a run's simulation as they are, or are added to one."""
-        joint = self.runs[row].run.joint
-        direct: dict[Key, str] = {(kind, joint): kind for kind in DRIVE_TERMS}
-        direct["armature", joint] = "inertia"
-        direct["delay"] = "delay"
-        direct["onset", row] = "delay"
-        direct["q0", row] = "q0"
-        direct["v0", row] = "v0"
-        kind = self.runs[row].kind
-        left_out = (*kind.unneeded, *kind.kept)
-        return {key: to for key, to in direct.items() if to not in left_out}
+    @functools.cached_property
+    def _direct(self) -> list[dict[int, int]]:
+        """Of each run the unknowns that are parameters of its simulation as they are, or are added to one: rows of the two."""
+        found = []
+        for row, run in enumerate(self.runs):
+            joint = run.run.joint
+            direct: dict[Key, str] = {(kind, joint): kind for kind in DRIVE_TERMS}
+            direct["armature", joint] = "inertia"
+            direct["delay"] = "delay"
+            direct["onset", row] = "delay"
+            direct["q0", row] = "q0"
+            direct["v0", row] = "v0"
+            left_out = (*run.kind.unneeded, *run.kind.kept)
+            rows = {self.index[key]: INDEX[to] for key, to in direct.items() if to not in left_out}
+            found.append(rows)
+        return found
 
     def _moving_part(
         self,
