@@ -185,10 +185,12 @@ def at_the_arm(
 ) -> Iterator[Desk]:
     """A pendant with a virtual arm and a browser; parameters of that arm, and of the identifier."""
     domain = free_domain()
+    # it stands for hardware, which waits for no browser that draws on a processor
+    hardware = {"real_time": True, **(virtual or {})}
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("ROS_DOMAIN_ID", domain)
         with (
-            running(folder, virtual=dict(virtual or {}), identifier=identifier, **PATIENT) as (
+            running(folder, virtual=hardware, identifier=identifier, **PATIENT) as (
                 _,
                 arm,
             ),
