@@ -82,7 +82,7 @@ def followed(
 
 
 def least_steady(fits: Sequence[FitResult], spread: TorqueSpread) -> FitResult:
-    """Of all ends that the runs do not rule out, the one in which torque differs most: its interval holds the others, too.
+    """Of all ends that the runs do not rule out, the one in which torque differs most: its interval is the widest.
 
     Args:
         fits: Where the search may have ended, each under its own spread.
