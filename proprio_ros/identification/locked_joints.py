@@ -300,9 +300,8 @@ class Loads(NamedTuple):
     # times_s, load: instants from which on each holds [s], shape (S,), and loads, shape (S, 2)
     times_s: np.ndarray = NONE
     load: np.ndarray = NONE
-    arm_as_payload: float = (
-        0.0  # payload that would load the gears as the arm does [kg]; only known of free swings
-    )
+    # payload that would load the gears as the arm does [kg]; only known of free swings
+    arm_as_payload: float = 0.0
 
 
 def loads_of_yielding(

@@ -88,6 +88,8 @@ def least_steady(fits: Sequence[FitResult], spread: TorqueSpread) -> FitResult:
         fits: Where the search may have ended, each under its own spread.
         spread: What the calibration knows of it.
     """
+    if len(fits) == 1:
+        return fits[0]
     logs = [_log_evidence(fit, spread) for fit in fits]
     likely = [fit for fit, log in zip(fits, logs, strict=True) if log > max(logs) - RULED_OUT]
     return max(likely, key=lambda fit: fit.problem.robot.torque_disturbance)

@@ -31,9 +31,8 @@ from proprio_ros.identification.regression.solve import (
 from proprio_ros.records import FloatArray
 from proprio_ros.robot.regressor import PARAMETERS
 
-LEAST_EIGENVALUE = (
-    1e-9  # Of correlations, in parts of the largest: below it there is only rounding.
-)
+LEAST_EIGENVALUE = 1e-9
+"""Of correlations, in parts of the largest: below it there is only rounding."""
 
 
 @dataclass(frozen=True)
@@ -95,9 +94,8 @@ class _Read:
 
     values: FloatArray  # shape (P + 1,)
     covariance: FloatArray  # shape (P + 1, P + 1)
-    deviations: (
-        FloatArray  # of the calibration's stretches, and of the load's, shape (stretches, P + 1)
-    )
+    # of the calibration's stretches, and of the load's, shape (stretches, P + 1)
+    deviations: FloatArray
 
 
 @dataclass(frozen=True)
