@@ -21,7 +21,7 @@ from proprio_ros.identification.prepared_runs import PreparedRun
 from proprio_ros.identification.problem import Problem
 from proprio_ros.identification.robot_unknowns import robot_unknowns
 from proprio_ros.identification.run_kinds import FREE_SWING, PUSH
-from proprio_ros.identification.run_scatter import terms_of
+from proprio_ros.identification.run_scatter import of_runs, terms_of
 from proprio_ros.identification.swings import (
     missed_share,
     stamp_jitter,
@@ -422,32 +422,6 @@ def _swing_evidence(
 
 
 _EVIDENCE = {PUSH: _evidence, FREE_SWING: _swing_evidence}
-
-
-def of_runs(
-    kind: str, problem: Problem, posterior: Posterior
-) -> tuple[list[int], np.ndarray, np.ndarray]:
-    """An unknown of each run, of onsets where nothing else makes them uncertain.
-
-    Args:
-        kind: Of the unknown.
-        problem: That was fitted.
-        posterior: Of the fit.
-
-    Returns: The runs; its values; how much of it each determines rather than its prior (0 to 1); shapes (R,).
-    """
-    stds = {}
-    for row in range(len(problem.runs)):
-        stds[row] = problem.unknowns[problem.index[kind, row]].std
-    rows = [
-        row
-        for row, std in stds.items()
-        if std > 0.0 and (kind != "onset" or std == problem.robot.onset_jitter_s)
-    ]
-    columns = [problem.column_of((kind, row)) for row in rows]
-    priors = np.square([stds[row] for row in rows])
-    learnt = 1.0 - np.diag(posterior.covariance)[columns] / priors
-    return rows, posterior.values[problem.estimated[columns]], learnt
 
 
 def spread_of_runs(file_std: float, found: np.ndarray, learnt: np.ndarray) -> float:

@@ -25,7 +25,6 @@ from proprio_ros.identification.calibration_fit import (
     Fitted,
     fit,
     foretold,
-    of_runs,
     spread_of_runs,
     with_another_rise,
 )
@@ -51,6 +50,7 @@ from proprio_ros.identification.robot_unknowns import (
     robot_unknowns,
 )
 from proprio_ros.identification.run_kinds import one_kind
+from proprio_ros.identification.run_scatter import of_runs
 from proprio_ros.identification.swing_friction import (
     friction_of_swings,
 )

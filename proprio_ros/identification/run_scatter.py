@@ -29,21 +29,42 @@ ROUNDS, SAME = 6, 0.05
 """A weighing is fitted so often at most until its spread stays the same, within this share."""
 
 
-def terms_of(problem: Problem, posterior: Posterior) -> Terms | None:
-    """Those of the runs that a problem was fitted to; None where torque is taken to be the same in all of them."""
+def of_runs(
+    kind: str, problem: Problem, posterior: Posterior
+) -> tuple[list[int], np.ndarray, np.ndarray]:
+    """An unknown of each run, of onsets where nothing else makes them uncertain.
+
+    Args:
+        kind: Of the unknown.
+        problem: That was fitted.
+        posterior: Of the fit.
+
+    Returns: The runs; its values; how much of it each determines rather than its prior (0 to 1); shapes (R,).
+    """
+    stds = {}
+    for row in range(len(problem.runs)):
+        stds[row] = problem.unknowns[problem.index[kind, row]].std
     rows = [
         row
-        for row in range(len(problem.runs))
-        if problem.unknowns[problem.index["disturbance", row]].std > 0.0
+        for row, std in stds.items()
+        if std > 0.0 and (kind != "onset" or std == problem.robot.onset_jitter_s)
     ]
+    columns = [problem.column_of((kind, row)) for row in rows]
+    priors = np.square([stds[row] for row in rows])
+    learnt = 1.0 - np.diag(posterior.covariance)[columns] / priors
+    return rows, posterior.values[problem.estimated[columns]], learnt
+
+
+def terms_of(problem: Problem, posterior: Posterior) -> Terms | None:
+    """Those of the runs that a problem was fitted to; None where torque is taken to be the same in all of them."""
+    rows, found, _ = of_runs("disturbance", problem, posterior)
     if not rows:
         return None
     columns = [problem.column_of(("disturbance", row)) for row in rows]
-    estimated = problem.estimated[columns]
-    stds = np.array([problem.unknowns[unknown].std for unknown in estimated])
+    stds = np.array([problem.unknowns[problem.estimated[column]].std for column in columns])
     return Terms(
         np.square([problem.runs[row].current_torque_std for row in rows]),
-        posterior.values[estimated],
+        found,
         posterior.covariance[np.ix_(columns, columns)],
         np.square(stds),
     )

@@ -66,11 +66,9 @@ class Terms:
         information = precision - np.diag(1.0 / self.prior).astype(np.float64)
         return information, precision @ self.found
 
-    def log_likelihoods(self, variances: FloatArray) -> FloatArray:
-        """Logarithms of how likely other priors make the data, each over that without the terms, shape (F,).
-
-        ``variances``: Of F priors, shape (F, T).
-        """
+    def log_likelihoods(self, spread: TorqueSpread) -> FloatArray:
+        """Logarithms of how likely each standard deviation makes the data, over that without the terms, shape (STEPS,)."""
+        variances: FloatArray = self.known + np.square(spread.deviations)[:, None]
         information, side = self.data
         return np.array([under(each, information, side)[0] for each in variances])
 
@@ -89,14 +87,14 @@ def given(spread: TorqueSpread, terms: Terms) -> TorqueSpread:
     What was fitted beside the terms takes part of them up, so their estimates are no sample of them: a machine that repeats is not
     told by small estimates, but by data that need no such terms.
     """
-    logs = terms.log_likelihoods(terms.known + np.square(spread.deviations)[:, None])
+    logs = terms.log_likelihoods(spread)
     weights = spread.weights * np.exp(logs - logs.max())
     return TorqueSpread(spread.stated, weights / weights.sum())
 
 
 def log_evidence(spread: TorqueSpread, terms: Terms) -> float:
     """Logarithm of how probable the data are under all that is believed, over that under the prior of their fit, at its best."""
-    logs = terms.log_likelihoods(terms.known + np.square(spread.deviations)[:, None])
+    logs = terms.log_likelihoods(spread)
     highest = float(logs.max())
     information, side = terms.data
     best = 0.5 * float(side @ under(terms.prior, information, side)[1])
