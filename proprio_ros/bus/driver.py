@@ -43,6 +43,8 @@ LOOKAHEAD_S = 0.05
 """A driven joint is braked when it would be at its limit so soon: a cycle, the servo's latency and the way it takes to stop."""
 # an arm that is too low may be moved, but not lower by more than this: encoders are not exact
 SINK_M = 1e-3
+# and its goals by no more than this below the highest place that they have reached: under load joints are below their goals
+DIP_M = 5e-3
 SAME_S = 0.02  # when a command was sent is known about so well
 WARN_AGAIN_S = 2.0  # the same warning is said no more often
 # one servo's temperature and voltage are read so often, while nothing is driven
@@ -120,6 +122,7 @@ class ArmDriver:
         self._next_connect_s = -np.inf
         self._next_health_s = -np.inf
         self._goals_at_s = -np.inf
+        self._reached_m = -np.inf  # how high the goals have come since the arm was lowered
         self._sampled_at_s = -np.inf
         self._health_turn = 0
         self._round_trips = RoundTrips()
@@ -618,7 +621,7 @@ class ArmDriver:
             for name, angle in before.items()
         }
         # joints arrive one after the other: between two poses that are high enough the arm may come too low
-        if self._height(ahead) < min(self.settings.min_clearance_m, self._height(before)):
+        if self._height(ahead) < self._least_height_m(self._height(before)):
             words = "the arm was about to come too near to the base's plane (min_clearance); it stays where it is"
             self._log("warning", words)
             for joint in held:
@@ -626,6 +629,19 @@ class ArmDriver:
             return
         for joint in held:
             joint.goal_rad += min(max(ways[joint.name], -step), step)
+
+    def _least_height_m(self, height_m: float) -> float:
+        """Of goals [m]; those of an arm that is too low may dip a little on their way up, since not every way only rises.
+
+        Args:
+            height_m: Of the present goals [m].
+        """
+        lowered = height_m < self._reached_m - DIP_M  # by a fall or a push: no goal leads there
+        self._reached_m = height_m if lowered else max(height_m, self._reached_m)
+        least_m = self.settings.min_clearance_m
+        if height_m >= least_m:
+            return least_m
+        return min(least_m, self._reached_m) - DIP_M
 
     def _write_goals(self) -> None:
         if self.state is BusState.RELEASED:

@@ -500,6 +500,45 @@ def test_the_way_does_not_lead_through_the_table(rig: Rig) -> None:
     assert sum("too near to the base's plane" in message for _, message in rig.log) == 1
 
 
+CAUGHT = {"joint2": 1.26, "joint3": 0.94, "joint4": 0.0}
+"""An arm that fell and was caught too low, with the forearm leaning back: leaning less lowers the hand by a millimetre at first."""
+
+
+def caught(rig: Rig) -> None:
+    """Put the arm there, and hold it."""
+    rig.driver.set_torque(False)
+    rig.run(0.05)
+    with rig.virtual.port.lock:
+        here = rig.virtual.arm.position()
+        rig.virtual.arm.set_position({**here, **CAUGHT})
+    rig.driver.set_torque(True)
+    rig.run(0.5)
+    assert set(rig.driver.modes.values()) == {"held"}
+    assert clearance(rig.robot, rig.position()) < -0.1
+
+
+def test_an_arm_that_was_caught_too_low_gets_up(rig: Rig) -> None:
+    """It was refused the first millimetre of its way, and stayed where it was for good."""
+    caught(rig)
+    way = np.arange(rig.position()["joint2"], -0.2, -0.015)
+    for place in way:
+        assert rig.driver.command_positions({"joint2": place}) == ""
+        rig.cycle()
+    rig.run(0.5)
+    assert rig.position()["joint2"] == pytest.approx(-0.2, abs=0.05)
+    assert clearance(rig.robot, rig.position()) > 0.02
+
+
+def test_an_arm_that_is_too_low_is_lowered_no_further_however_often_it_is_asked(rig: Rig) -> None:
+    caught(rig)
+    before = clearance(rig.robot, rig.position())
+    for _ in range(400):
+        here = rig.position()["joint3"]
+        rig.driver.command_positions({"joint3": here - 0.004})
+        rig.cycle()
+    assert clearance(rig.robot, rig.position()) > before - 0.01
+
+
 @with_settings(min_clearance_m=0.15)
 def test_a_push_ends_above_the_table(rig: Rig) -> None:
     start_s = rig.clock.now()

@@ -135,7 +135,7 @@ def arm(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Arm]:
         environment.setenv("ROS_DOMAIN_ID", unused_domain())
         with running(
             folder,
-            virtual={"object": 0.05, "real_time": True},
+            virtual={"object": 0.05},
             identifier=identifier,
             **PATIENT,
         ) as (

@@ -11,6 +11,8 @@ pytest.importorskip("rclpy")
 pytest.importorskip("mujoco")
 
 from std_srvs.srv import SetBool
+from support.pushes import AWAY, one_push
+from support.simulated_live import running
 from support.simulated_world import World, world
 
 from proprio_ros.virtual.robot import PARKED
@@ -54,3 +56,19 @@ def test_nobody_would_hold_it_without_a_driver(made: World) -> None:
     answer = made.call("/virtual/recover")
     assert not answer.success
     assert "there is no driver" in answer.message
+
+
+def test_an_arm_that_is_caught_in_mid_fall_moves_on(tmp_path: Path) -> None:
+    """It did not follow: its driver refused the first millimetre of the way up."""
+    push = tmp_path / "push.yaml"
+    push.write_text(one_push(-0.28, 0.6, AWAY))
+    with running(tmp_path, "virtual", "driver", "excitation", virtual={"object": 0.05}) as client:
+        assert client.set("/excitation", "probe", str(push)).successful
+        for falls_s in (0.3, 1.0, 0.0):
+            client.excitation.clear()
+            assert client.call("/excitation/run").success
+            client.wait_for_phase("done")
+            assert client.torque(False).success
+            client.clock.sleep(falls_s)
+            assert client.torque(True).success
+            client.clock.sleep(1.0)
