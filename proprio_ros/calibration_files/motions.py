@@ -20,6 +20,7 @@ It is the section ``motion_calibration`` of a robot file that ``extends`` the ro
       scale_of_load: |                                           # of the torque scale, where a known load told it: its correlations
         0.3                                                      # with the unknowns, and its own deviations, each in one line
         0.1
+      read_clock: {pace: 1.05, pace_std: 0.009, lag_s: -0.007}   # see `ReadClock`; of arms that a voltage drives
 """
 
 from __future__ import annotations
@@ -81,6 +82,11 @@ _JOINT: dict[str, Form] = {
     ),
     "correlated_windows": Number("over so many windows the residuals are correlated", "", 1.0, 1e4),
 }
+_CLOCK: dict[str, Form] = {
+    "pace": Number("that its own recordings read", "", 0.2, 5.0),
+    "pace_std": Number("of its logarithm", "", 0.0, 10.0, open=True),
+    "lag_s": Number("of the torques", "s", -1.0, 1.0),
+}
 _SCALE: dict[str, Form] = {
     "value": Number("true torque over the robot file's", "", 0.05, 20.0),
     "std": Number("relative", "", 0.0, 10.0, open=True),
@@ -113,6 +119,18 @@ class LoadScale:
 
     covariance: FloatArray  # of the relative scale with each term, shape (P,)
     deviations: FloatArray  # which way each stretch pulls the relative scale, shape (stretches,)
+
+
+@dataclass(frozen=True)
+class ReadClock:
+    """What torques read of the clocks of recordings that keep time, the same in every recording of an arm.
+
+    Torques that are made of goals act a little later than the robot file says, which looks like another pace, too.
+    """
+
+    pace: float  # true time over stamped time
+    pace_std: float  # of the logarithm of what one more recording reads about it
+    lag_s: float  # by how much torques come later than positions [s]
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,6 +174,8 @@ class MotionCalibration:
     tells: FloatArray | None = None
     # None: no known load told the scale, or a file of before there was this
     scale_of_load: LoadScale | None = None
+    # None: of torques that were measured, or a file of before there was this
+    read_clock: ReadClock | None = None
 
     @property
     def keys(self) -> tuple[Key, ...]:
@@ -224,6 +244,13 @@ class MotionCalibration:
             "correlation": triangle_of(self.covariance / std[:, None] / std),
             "deviations": lines_of(self.deviations / std, 9),
         }
+        clock = self.read_clock
+        if clock is not None:
+            section["read_clock"] = {
+                "pace": short(clock.pace),
+                "pace_std": short(clock.pace_std),
+                "lag_s": short(clock.lag_s),
+            }
         scale = self.scale_of_load
         if scale is not None:
             of_scale = self.torque_scale_std
@@ -269,6 +296,7 @@ class MotionCalibration:
             between=_read_between(section.get("between_recordings", {})),
             spread_evidence=_read_spread_evidence(section),
             scale_of_load=_read_scale_of_load(section, terms, len(deviations), torque_scale_std),
+            read_clock=_read_clock(section),
         )
 
 
@@ -372,6 +400,16 @@ def _read_scale_of_load(
     if not np.all(np.isfinite(deviations)) or not np.all(np.abs(correlation) <= 1.0):
         raise FormError("scale_of_load must be correlations and finite numbers; calibrate again")
     return LoadScale(correlation[terms.place] * terms.std * scale_std, deviations * scale_std)
+
+
+def _read_clock(section: Mapping[str, Any]) -> ReadClock | None:
+    """None where the file says nothing."""
+    if "read_clock" not in section:
+        return None
+    stated = part_of(section, "read_clock", Mapping)
+    with under("read_clock"):
+        pace, pace_std, lag_s = exactly(stated, _CLOCK)
+    return ReadClock(pace, pace_std, lag_s)
 
 
 def _read_term(entry: Any, kind: str) -> list[float]:

@@ -113,11 +113,6 @@ class Arm:
         assert wait_for(lambda: bool(motors))
         return not any(motors[-1].effort)
 
-    def recover(self) -> None:
-        """Held in its first pose: where a fall ends hangs on how long it lasted."""
-        answer = self.client.call("/virtual/recover")
-        assert answer.success, answer.message
-
     def begin_push(self) -> None:
         """One that goes on until something ends it."""
         assert self.client.set("/excitation", "probe", self.push_file(20.0)).successful
@@ -156,7 +151,6 @@ def lives(arm: Arm) -> Iterator[Live]:
         assert process.poll() is None, live.told
         arm.client.states.clear()
         assert wait_for(lambda: len(arm.client.states) > 10), live.told
-        arm.recover()
         assert wait_for(lambda: arm.client.excitation.get("joint_states") == "true"), live.told
         yield live
     finally:
@@ -240,7 +234,8 @@ def test_torque_is_switched(arm: Arm, live: Live) -> None:
     assert wait_for(arm.at_rest)
     assert arm.calls("torque", "true").stdout == "held\n"
     assert wait_for(lambda: any(arm.client.motors[-1].effort))
-    arm.recover()
+    answer = arm.client.call("/virtual/recover")
+    assert answer.success, f"where a fall ends hangs on how long it lasted: {answer.message}"
 
 
 def test_a_node_that_is_not_there(arm: Arm, live: Live) -> None:

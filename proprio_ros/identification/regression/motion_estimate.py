@@ -18,7 +18,11 @@ from proprio_ros.identification.estimate import LIMIT_OF_CALIBRATION, UnknownRow
 from proprio_ros.identification.judge import Refusal, judge, not_identifiable
 from proprio_ros.identification.regression import refusals
 from proprio_ros.identification.regression.causes import with_cause
-from proprio_ros.identification.regression.clocks import with_clocks, with_clocks_named
+from proprio_ros.identification.regression.clocks import (
+    with_clocks,
+    with_clocks_named,
+    with_read_clock,
+)
 from proprio_ros.identification.regression.motion_equations import Arm, once_each
 from proprio_ros.identification.regression.motion_fit import (
     Centre,
@@ -76,6 +80,8 @@ def calibrate_motions(
         references = list(zip(loaded, masses_kg, strict=True))
         calibration, refusal = scaled_by_references(robot, calibration, references, centre)
     recorded = [*followed, *(motion for motion, _ in references)]
+    if not refusal.withheld:
+        calibration = with_read_clock(robot, recorded, calibration)
     progress("weighing each empty motion by the others")
     weighed = () if refusal.withheld else _weighed_empty(robot, followed)
     arm = Arm.of(

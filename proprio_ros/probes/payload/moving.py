@@ -37,7 +37,11 @@ from proprio_ros.identification.judge import (
 from proprio_ros.identification.reasons import Reason
 from proprio_ros.identification.regression import refusals
 from proprio_ros.identification.regression.causes import with_cause
-from proprio_ros.identification.regression.clocks import with_clocks, with_clocks_named
+from proprio_ros.identification.regression.clocks import (
+    with_clocks,
+    with_clocks_named,
+    with_read_clock,
+)
 from proprio_ros.identification.regression.motion_equations import STRETCH_S, once_each
 from proprio_ros.identification.regression.motion_estimate import calibration_refusals
 from proprio_ros.identification.regression.motion_fit import (
@@ -231,7 +235,7 @@ def _weighing(
     elif baseline:
         known = "baseline"
         baseline = with_clocks(robot, baseline)
-        calibration = fit_empty(robot, baseline)
+        calibration = with_read_clock(robot, baseline, fit_empty(robot, baseline))
         motions = with_clocks(robot, motions, calibration, loaded=True)
     else:
         return None

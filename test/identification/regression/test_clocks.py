@@ -8,14 +8,17 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 from support.arm_in_motion import Twin, write_robot
+from support.known.bases import so101
 from support.machines import REAL
 
+from proprio_ros.calibration_files.motions import MotionCalibration
 from proprio_ros.identification.estimate import Estimate, Verdict
 from proprio_ros.identification.regression.clocks import Clock, clock_of, with_clocks
 from proprio_ros.identification.regression.motion_equations import Problem, equations, own_terms
 from proprio_ros.identification.regression.motion_estimate import calibrate_motions
 from proprio_ros.identification.regression.motion_fit import fit_empty
 from proprio_ros.identification.regression.recording_variability import CLOCK
+from proprio_ros.inputs.forms import FormError
 from proprio_ros.pipeline.loading import bag_motion
 from proprio_ros.pipeline.request import Options, request_of
 from proprio_ros.probes.payload.moving import identify_in_motion
@@ -241,6 +244,65 @@ def test_what_is_far_from_its_misfit_runs_off() -> None:
     assert not Clock(0.73, 0.2, 0.0, 1e-3).runs_off
     assert Clock(1.0, 0.01, 0.1, 1e-3).is_late
     assert not Clock(1.0, 0.01, 0.013, 1e-3).is_late
+
+
+class ByVoltage(NamedTuple):
+    """A calibrated SO-101 in MuJoCo, of which goals and positions are recorded, and what it holds."""
+
+    robot: Robot
+    loaded: Motion
+    payload_kg: float
+
+
+@pytest.fixture(scope="module")
+def by_voltage(tmp_path_factory: pytest.TempPathFactory) -> ByVoltage:
+    """Nothing was chosen on its seed."""
+    base = so101(9205)
+    files = base.files(tmp_path_factory.mktemp("so101"))
+    request = request_of(Options(robot=str(files["calibration"])))
+    return ByVoltage(request.robot, bag_motion(files["loaded"], request), base.truth)
+
+
+def test_goals_that_act_late_are_no_clock_that_runs_off(by_voltage: ByVoltage) -> None:
+    calibration = by_voltage.robot.motion_calibration
+    assert calibration is not None and calibration.read_clock is not None
+    (followed,) = with_clocks(by_voltage.robot, [by_voltage.loaded], calibration, loaded=True)
+    assert followed.times_s is by_voltage.loaded.times_s
+    assert followed.notes == by_voltage.loaded.notes
+    assert followed.pace_std < 0.005
+
+
+@pytest.mark.parametrize("pace", [0.7, 0.95, 1.05, 1.4])
+def test_a_clock_of_goals_is_followed_beside_those_of_the_calibration(
+    by_voltage: ByVoltage, pace: float
+) -> None:
+    wrong = at_pace(by_voltage.loaded, pace)
+    answer = identify_in_motion(by_voltage.robot, [wrong], [], PayloadFacts())
+    assert any("the loop ran at" in note for note in answer.notes)
+    low, high = answer.values[0].ci95
+    assert low <= by_voltage.payload_kg <= high
+    assert high - low < by_voltage.payload_kg
+
+
+def test_a_calibration_of_goals_without_a_clock_leaves_stamps_alone(by_voltage: ByVoltage) -> None:
+    """As files of an earlier release."""
+    known = replace(by_voltage.robot.motion_calibration, read_clock=None)
+    section = known.as_settings()
+    assert "read_clock" not in section
+    before = MotionCalibration.from_settings(section)
+    wrong = at_pace(by_voltage.loaded, 1.4)
+    (followed,) = with_clocks(by_voltage.robot, [wrong], before, loaded=True)
+    assert followed is wrong
+
+
+def test_a_clock_that_was_read_is_read_again(by_voltage: ByVoltage) -> None:
+    known = by_voltage.robot.motion_calibration
+    assert known is not None
+    section = known.as_settings()
+    assert MotionCalibration.from_settings(section).read_clock == known.read_clock
+    section["read_clock"]["pace"] = -1.0
+    with pytest.raises(FormError, match="read_clock: pace"):
+        MotionCalibration.from_settings(section)
 
 
 @pytest.mark.skipif(not REAL.is_dir(), reason="needs recordings of real machines")
