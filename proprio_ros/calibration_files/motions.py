@@ -244,6 +244,11 @@ class MotionCalibration:
             "correlation": triangle_of(self.covariance / std[:, None] / std),
             "deviations": lines_of(self.deviations / std, 9),
         }
+        self._add_what_not_all_have(section, std)
+        return section
+
+    def _add_what_not_all_have(self, section: dict[str, Any], std: FloatArray) -> None:
+        """To plain numbers for the file; ``std``: of the terms, (P,)."""
         clock = self.read_clock
         if clock is not None:
             section["read_clock"] = {
@@ -258,7 +263,6 @@ class MotionCalibration:
             section["scale_of_load"] = lines_of([correlation], 12) + lines_of(
                 [scale.deviations / of_scale], 9
             )
-        return section
 
     @classmethod
     def from_settings(cls, section: Any) -> MotionCalibration:

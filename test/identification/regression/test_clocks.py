@@ -286,8 +286,9 @@ def test_a_clock_of_goals_is_followed_beside_those_of_the_calibration(
 
 def test_a_calibration_of_goals_without_a_clock_leaves_stamps_alone(by_voltage: ByVoltage) -> None:
     """As files of an earlier release."""
-    known = replace(by_voltage.robot.motion_calibration, read_clock=None)
-    section = known.as_settings()
+    known = by_voltage.robot.motion_calibration
+    assert known is not None
+    section = replace(known, read_clock=None).as_settings()
     assert "read_clock" not in section
     before = MotionCalibration.from_settings(section)
     wrong = at_pace(by_voltage.loaded, 1.4)
