@@ -20,7 +20,10 @@ It is the section ``motion_calibration`` of a robot file that ``extends`` the ro
       scale_of_load: |                                           # of the torque scale, where a known load told it: its correlations
         0.3                                                      # with the unknowns, and its own deviations, each in one line
         0.1
-      read_clock: {pace: 1.05, pace_std: 0.009, lag_s: -0.007}   # see `ReadClock`; of arms that a voltage drives
+      read_clock: |                                              # of arms that a voltage drives, see `ReadClock`
+        0.05 -0.007
+        1e-4 -1e-5
+        -1e-5 1e-6
 """
 
 from __future__ import annotations
@@ -82,11 +85,6 @@ _JOINT: dict[str, Form] = {
     ),
     "correlated_windows": Number("over so many windows the residuals are correlated", "", 1.0, 1e4),
 }
-_CLOCK: dict[str, Form] = {
-    "pace": Number("that its own recordings read", "", 0.2, 5.0),
-    "pace_std": Number("of its logarithm", "", 0.0, 10.0, open=True),
-    "lag_s": Number("of the torques", "s", -1.0, 1.0),
-}
 _SCALE: dict[str, Form] = {
     "value": Number("true torque over the robot file's", "", 0.05, 20.0),
     "std": Number("relative", "", 0.0, 10.0, open=True),
@@ -121,16 +119,15 @@ class LoadScale:
     deviations: FloatArray  # which way each stretch pulls the relative scale, shape (stretches,)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class ReadClock:
-    """What torques read of the clocks of recordings that keep time, the same in every recording of an arm.
+    """What torques read of the clocks of recordings that keep time, the same in every recording of an arm that a voltage drives.
 
     Torques that are made of goals act a little later than the robot file says, which looks like another pace, too.
     """
 
-    pace: float  # true time over stamped time
-    pace_std: float  # of the logarithm of what one more recording reads about it
-    lag_s: float  # by how much torques come later than positions [s]
+    values: FloatArray  # logarithm of true over stamped time, and by how much torques come later than positions [s], (2,)
+    covariance: FloatArray  # (2, 2)
 
 
 @dataclass(frozen=True, eq=False)
@@ -251,11 +248,7 @@ class MotionCalibration:
         """To plain numbers for the file; ``std``: of the terms, (P,)."""
         clock = self.read_clock
         if clock is not None:
-            section["read_clock"] = {
-                "pace": short(clock.pace),
-                "pace_std": short(clock.pace_std),
-                "lag_s": short(clock.lag_s),
-            }
+            section["read_clock"] = lines_of([clock.values, *clock.covariance], 9)
         scale = self.scale_of_load
         if scale is not None:
             of_scale = self.torque_scale_std
@@ -410,10 +403,14 @@ def _read_clock(section: Mapping[str, Any]) -> ReadClock | None:
     """None where the file says nothing."""
     if "read_clock" not in section:
         return None
-    stated = part_of(section, "read_clock", Mapping)
-    with under("read_clock"):
-        pace, pace_std, lag_s = exactly(stated, _CLOCK)
-    return ReadClock(pace, pace_std, lag_s)
+    rows = numbers_of(section, "read_clock")
+    if [len(row) for row in rows] != [2, 2, 2] or not np.all(np.isfinite(rows)):
+        raise FormError("read_clock must be three rows of two finite numbers; calibrate again")
+    values = np.array(rows[0])
+    covariance = np.array(rows[1:])
+    if np.any(covariance != covariance.T) or np.any(np.linalg.eigvalsh(covariance) <= 0.0):
+        raise FormError("read_clock: the last two rows are no covariance; calibrate again")
+    return ReadClock(values, covariance)
 
 
 def _read_term(entry: Any, kind: str) -> list[float]:

@@ -41,6 +41,7 @@ from proprio_ros.identification.regression.recording_variability import CLOCK
 from proprio_ros.identification.regression.solve import solve
 from proprio_ros.recordings.motions import Motion
 from proprio_ros.recordings.voltage import voltage_driven
+from proprio_ros.records import FloatArray
 from proprio_ros.robot import Robot
 
 PACE_SPREAD = 0.5
@@ -51,8 +52,14 @@ PACE_MISFIT = 0.03
 """What a fit finds where the clock keeps time: twelve questions to a UR10e read a pace of 0.97 to 0.99."""
 PACE_BETWEEN = 0.008
 """From recording to recording of one arm that a voltage drives: 28 recordings of seven simulated arms differ by 0.006."""
-KNOWN_LAG_S = 2e-4
-"""How well a lag is known that other recordings of the arm have shown; it goes with the pace, and their mean is what counts."""
+LAG_BETWEEN_S = 5e-4
+"""The same of the lag, which differs by no more than it is known to."""
+TORQUE_SPREAD = 0.1
+"""By how much torques are larger than they were, where they are: of another supply voltage, or another gain."""
+TORQUE_BETWEEN = 0.05
+"""And where they are not: what friction under a load that nobody knows makes of it."""
+LAG_OF_GOALS_S = 0.01
+"""By how much goals act later or earlier than they did, where they do: some of the 10 to 35 ms that they take."""
 LAG_MISFIT_S = 0.01
 """And a lag: a cycle of a driver of 100 Hz; the same recordings read 10 to 14 ms."""
 OFF_BEFORE = 0.1
@@ -145,35 +152,146 @@ def _followed(
 def _followed_by_voltage(
     robot: Robot, motion: Motion, calibration: MotionCalibration | None
 ) -> Motion:
-    """By its pace beside that of the calibration's own recordings.
+    """By what its clock reads beside those of the calibration's own recordings.
 
     Torques are made of goals here, whose delay nobody states, and it looks like another pace.
     """
-    usual = None if calibration is None else calibration.read_clock
-    if usual is None:
+    if calibration is None or calibration.read_clock is None:
         return motion
+    usual = calibration.read_clock
     try:
-        clock = clock_of(robot, motion, calibration, loaded=True, lag_s=usual.lag_s)
+        read = read_clock(robot, motion, calibration)
     except RecordingError:
         return motion
-    pace = clock.pace / usual.pace
-    pace_std = float(np.hypot(clock.pace_std, usual.pace_std))
-    off = float(np.log(pace))
-    if abs(off) <= SIGMAS * pace_std or _leaves_too_little(motion, pace):
-        return replace(motion, pace_std=_open_std(off, pace_std, 0.0, PACE_SPREAD))
-    note = _pace_followed(motion, pace, pace_std)
-    return replace(
-        _retimed(motion, pace, 0.0),
-        notes=(*motion.notes, note),
-        clock_off=(note,),
-        pace_std=pace_std,
+    found, covariance = likeliest(
+        read.values - usual.values,
+        read.covariance + usual.covariance,
     )
+    if found.any():
+        doubt = _as_likely_by_torque(robot, motion, calibration, found)
+        covariance = covariance + doubt * np.outer(found, found)
+    pace = float(np.exp(found[0]))
+    lag_s = float(found[1])
+    pace_std, lag_std_s = np.sqrt(np.diag(covariance)).tolist()
+    notes = []
+    if pace != 1.0:
+        if _leaves_too_little(motion, pace):
+            return replace(motion, pace_std=abs(float(found[0])) + pace_std)
+        notes.append(_pace_followed(motion, pace, pace_std))
+    if lag_s != 0.0:
+        notes.append(_goals_followed(motion, lag_s))
+    return replace(
+        _retimed(motion, pace, lag_s),
+        notes=(*motion.notes, *notes),
+        clock_off=tuple(notes),
+        pace_std=pace_std,
+        lag_std_s=lag_std_s,
+    )
+
+
+def likeliest(off: FloatArray, covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """What is off of a clock: nothing, its pace or its lag; the likeliest of these, and what the others leave open.
+
+    Each is a Gaussian prior of what is off, their evidences weigh them, and moments are those of the mixture about the likeliest.
+
+    Args:
+        off: As `ReadClock.values`, beside what a recording reads whose clock keeps time, (2,).
+        covariance: Of errors of that, (2, 2).
+
+    Returns: The same of the likeliest, and its covariance.
+    """
+    nothing = np.zeros((2, 2))
+    priors = [nothing, np.diag([PACE_SPREAD**2, 0.0]), np.diag([0.0, LAG_OF_GOALS_S**2])]
+    log_evidence = np.log([1.0 - 2.0 * OFF_BEFORE, OFF_BEFORE, OFF_BEFORE])
+    means = []
+    covariances = []
+    for row, prior in enumerate(priors):
+        total = covariance + prior
+        gain = prior @ np.linalg.inv(total)
+        means.append(gain @ off)
+        covariances.append(prior - gain @ prior)
+        log_evidence[row] += _log_density(off, total)
+    weights = np.exp(log_evidence - log_evidence.max())
+    weights /= weights.sum()
+    best = means[int(np.argmax(weights))]
+    left = np.zeros((2, 2))
+    for weight, mean, each in zip(weights, means, covariances, strict=True):
+        left += weight * (each + np.outer(mean - best, mean - best))
+    return best, left
+
+
+def _log_density(off: FloatArray, covariance: FloatArray) -> float:
+    """Of a normal distribution so far from its mean, but for what all of that size share."""
+    _, log_size = np.linalg.slogdet(covariance)
+    return float(-0.5 * (off @ np.linalg.solve(covariance, off) + log_size))
+
+
+def _as_likely_by_torque(
+    robot: Robot,
+    motion: Motion,
+    calibration: MotionCalibration,
+    found: FloatArray,
+) -> float:
+    """How likely it is that not the clock is off but the torque, which another supply voltage or another gain makes.
+
+    Args:
+        robot: As its file states it.
+        motion: The recording.
+        calibration: Of the arm.
+        found: What would be off of the clock, see `likeliest`, (2,).
+    """
+    assert calibration.read_clock is not None
+    usual = calibration.read_clock
+    values, covariance = _read(robot, motion, calibration, (*CLOCK, "common_scale"))
+    off = values - np.append(usual.values, 0.0)
+    covariance = covariance + np.diag([PACE_BETWEEN**2, LAG_BETWEEN_S**2, TORQUE_BETWEEN**2])
+    covariance[:2, :2] += usual.covariance
+    by_clock = np.append(np.where(found, [PACE_SPREAD, LAG_OF_GOALS_S], 0.0), 0.0)
+    by_torque = np.array([0.0, 0.0, TORQUE_SPREAD])
+    clock, torque = (
+        _log_density(off, covariance + np.diag(spread**2)) for spread in (by_clock, by_torque)
+    )
+    return float(1.0 / (1.0 + np.exp(np.clip(clock - torque, -500.0, 500.0))))
+
+
+def read_clock(robot: Robot, motion: Motion, calibration: MotionCalibration) -> ReadClock:
+    """What the clock of one recording reads, beside the calibration's arm, and what differs from recording to recording.
+
+    Args:
+        robot: As its file states it.
+        motion: The recording.
+        calibration: Of the arm.
+
+    Raises `RecordingError`: It is too short, or of other joints than the calibration.
+    """
+    values, covariance = _read(robot, motion, calibration, CLOCK)
+    return ReadClock(values, covariance + np.diag([PACE_BETWEEN**2, LAG_BETWEEN_S**2]))
+
+
+def _read(
+    robot: Robot, motion: Motion, calibration: MotionCalibration, kinds: Sequence[str]
+) -> tuple[FloatArray, FloatArray]:
+    """What is off in a motion by kind, logarithm of pace and lag [s] first, and its covariance, (K,) and (K, K)."""
+    pace = 1.0
+    lag_s = 0.0
+    for _ in range(ROUNDS):
+        retimed = _retimed(motion, pace, lag_s)
+        values, covariance = _solved(robot, retimed, calibration, True, kinds)
+        step_pace, slope = _pace_of(values[0])
+        lag_s += pace * values[1]
+        pace *= step_pace
+        if abs(np.log(step_pace)) < SETTLED_PACE and abs(values[1]) < SETTLED_S:
+            break
+    slopes = np.ones(len(kinds))
+    slopes[0] = slope
+    read = np.array([np.log(pace), lag_s, *values[2:]])
+    return read, covariance * slopes[:, None] * slopes
 
 
 def with_read_clock(
     robot: Robot, motions: Sequence[Motion], calibration: MotionCalibration
 ) -> MotionCalibration:
-    """The calibration with the clock that its own recordings read, of an arm that a voltage drives.
+    """The calibration with the clock that its own recordings read, of an arm that a voltage drives: their mean, by least squares.
 
     Args:
         robot: As its file states it.
@@ -182,24 +300,16 @@ def with_read_clock(
     """
     if not voltage_driven(robot):
         return calibration
-    clocks = [clock_of(robot, motion, calibration, loaded=True) for motion in motions]
-    lag_s, _ = _mean(
-        [clock.lag_s for clock in clocks],
-        [clock.lag_std_s for clock in clocks],
-    )
-    clocks = [clock_of(robot, motion, calibration, loaded=True, lag_s=lag_s) for motion in motions]
-    pace, std = _mean(
-        [np.log(clock.pace) for clock in clocks],
-        [float(np.hypot(clock.pace_std, PACE_BETWEEN)) for clock in clocks],
-    )
-    read = ReadClock(float(np.exp(pace)), float(np.hypot(std, PACE_BETWEEN)), lag_s)
-    return replace(calibration, read_clock=read)
-
-
-def _mean(values: Sequence[float], stds: Sequence[float]) -> tuple[float, float]:
-    """Weighted by how well they are known, and how well it is known itself."""
-    weights = 1.0 / np.square(stds)
-    return float(weights @ values / weights.sum()), float(weights.sum() ** -0.5)
+    information = np.zeros((2, 2))
+    pull = np.zeros(2)
+    for motion in motions:
+        read = read_clock(robot, motion, calibration)
+        weight = np.linalg.inv(read.covariance)
+        information += weight
+        pull += weight @ read.values
+    covariance = np.linalg.inv(information)
+    symmetric = 0.5 * (covariance + covariance.T)
+    return replace(calibration, read_clock=ReadClock(covariance @ pull, symmetric))
 
 
 def _leaves_too_little(motion: Motion, pace: float) -> bool:
@@ -236,6 +346,16 @@ def _lag_followed(motion: Motion, lag_s: float) -> Reason:
     )
 
 
+def _goals_followed(motion: Motion, lag_s: float) -> Reason:
+    """What is said of goals that act later than in the recordings of the calibration, or earlier."""
+    when = "later" if lag_s > 0.0 else "earlier"
+    return Reason(
+        "clock_off",
+        f"{motion.name}: its goals acted {1e3 * abs(lag_s):.0f} ms {when} than those of the calibration's recordings; they were "
+        "moved by that",
+    )
+
+
 def with_clocks_named(refusal: Refusal, motions: Sequence[Motion]) -> Refusal:
     """A refusal for which nothing else was found, with the clocks that were followed before its other reasons."""
     if refusal.verdict is Verdict.ACCEPTED:
@@ -257,7 +377,6 @@ def clock_of(
     calibration: MotionCalibration | None = None,
     *,
     loaded: bool = False,
-    lag_s: float | None = None,
 ) -> Clock:
     """The clock of one recording.
 
@@ -266,33 +385,52 @@ def clock_of(
         motion: The recording.
         calibration: What is known of the arm; without one, what the robot file says.
         loaded: Whether the hand holds something that nobody knows.
-        lag_s: By how much its torques are later than positions, where other recordings have shown it [s].
 
     Raises `RecordingError`: It is too short, or of other joints than the calibration.
     """
-    clock = Clock(1.0, np.inf, lag_s or 0.0, np.inf)
-    lag_spread_s = LAG_SPREAD_S if lag_s is None else KNOWN_LAG_S
+    clock = Clock(1.0, np.inf, 0.0, np.inf)
     for _ in range(ROUNDS):
         retimed = _retimed(motion, clock.pace, clock.lag_s)
-        step = _step(robot, retimed, calibration, loaded, lag_spread_s)
+        step = _step(robot, retimed, calibration, loaded)
         clock = replace(
             step, pace=clock.pace * step.pace, lag_s=clock.lag_s + clock.pace * step.lag_s
         )
         if abs(np.log(step.pace)) < SETTLED_PACE and abs(step.lag_s) < SETTLED_S:
             break
-        if lag_s is None and not (clock.runs_off or clock.is_late):
+        if not (clock.runs_off or clock.is_late):
             break
     return clock
 
 
 def _step(
+    robot: Robot, motion: Motion, calibration: MotionCalibration | None, loaded: bool
+) -> Clock:
+    """How far the clock of a motion is off, to first order in the lag."""
+    values, covariance = _solved(robot, motion, calibration, loaded, CLOCK)
+    pace, slope = _pace_of(values[0])
+    acceleration_std, lag_std_s = np.sqrt(np.diag(covariance)).tolist()
+    return Clock(
+        pace=pace,
+        pace_std=abs(slope) * acceleration_std,
+        lag_s=float(values[1]),
+        lag_std_s=lag_std_s,
+    )
+
+
+def _pace_of(acceleration: float) -> tuple[float, float]:
+    """The pace at which accelerations are larger by that share, and by how much its logarithm goes with it."""
+    larger = 1.0 + max(float(acceleration), LEAST_ACCELERATION)
+    return larger**-0.5, -0.5 / larger
+
+
+def _solved(
     robot: Robot,
     motion: Motion,
     calibration: MotionCalibration | None,
     loaded: bool,
-    lag_spread_s: float,
-) -> Clock:
-    """How far the clock of a motion is off, to first order in the lag."""
+    kinds: Sequence[str],
+) -> tuple[FloatArray, FloatArray]:
+    """What differs in a motion by kind, pace and lag first, and the covariance of that: (K,), (K, K)."""
     joints = motion.joints if calibration is None else calibration.joints
     arm = Arm.of(robot, joints, dict(motion.held))
     # a tool that nobody stated would bend the clock of an arm that only its file describes
@@ -305,25 +443,19 @@ def _step(
     if calibration is not None:
         priors = priors_of_calibration(arm, calibration, [motion])
     # accelerations are off by twice as much as the pace
-    open_clock = {"pace": 2.0 * PACE_SPREAD, "lag": lag_spread_s}
-    spreads = {**priors.variability.spreads, **open_clock}
+    opened = {"pace": 2.0 * PACE_SPREAD, "lag": LAG_SPREAD_S}
+    if "common_scale" in kinds:
+        opened["common_scale"] = TORQUE_SPREAD
+    spreads = {**priors.variability.spreads, **opened}
     variability = replace(priors.variability, spreads=spreads)
     priors = replace(priors, variability=variability)
-    solution = solve(problem, priors, calibration, followed=CLOCK)
-    at = [problem.own(0).start + variability.place(kind) for kind in CLOCK]
-    acceleration, lag_s = solution.values[at]
+    solution = solve(problem, priors, calibration, followed=tuple(kinds))
+    at = [problem.own(0).start + variability.place(kind) for kind in kinds]
+    covariance = solution.covariance[np.ix_(at, at)]
     # the larger of what the fit and what its stretches say
-    formal = np.diag(solution.covariance)[at]
     of_stretches = np.square(solution.deviations[:, at]).sum(axis=0)
-    variance = np.maximum(formal, of_stretches)
-    acceleration_std, lag_std_s = np.sqrt(variance)
-    acceleration = max(float(acceleration), LEAST_ACCELERATION)
-    return Clock(
-        pace=(1.0 + acceleration) ** -0.5,
-        pace_std=0.5 * float(acceleration_std) / (1.0 + acceleration),
-        lag_s=float(lag_s),
-        lag_std_s=float(lag_std_s),
-    )
+    larger = np.sqrt(np.maximum(of_stretches / np.diag(covariance), 1.0))
+    return solution.values[at], covariance * larger[:, None] * larger
 
 
 def _retimed(

@@ -13,7 +13,15 @@ from support.machines import REAL
 
 from proprio_ros.calibration_files.motions import MotionCalibration
 from proprio_ros.identification.estimate import Estimate, Verdict
-from proprio_ros.identification.regression.clocks import Clock, clock_of, with_clocks
+from proprio_ros.identification.regression.clocks import (
+    LAG_OF_GOALS_S,
+    OFF_BEFORE,
+    PACE_SPREAD,
+    Clock,
+    clock_of,
+    likeliest,
+    with_clocks,
+)
 from proprio_ros.identification.regression.motion_equations import Problem, equations, own_terms
 from proprio_ros.identification.regression.motion_estimate import calibrate_motions
 from proprio_ros.identification.regression.motion_fit import fit_empty
@@ -270,6 +278,7 @@ def test_goals_that_act_late_are_no_clock_that_runs_off(by_voltage: ByVoltage) -
     assert followed.times_s is by_voltage.loaded.times_s
     assert followed.notes == by_voltage.loaded.notes
     assert followed.pace_std < 0.005
+    assert followed.lag_std_s < 0.002
 
 
 @pytest.mark.parametrize("pace", [0.7, 0.95, 1.05, 1.4])
@@ -281,7 +290,53 @@ def test_a_clock_of_goals_is_followed_beside_those_of_the_calibration(
     assert any("the loop ran at" in note for note in answer.notes)
     low, high = answer.values[0].ci95
     assert low <= by_voltage.payload_kg <= high
+    # by so much that nothing else would explain it
+    if abs(np.log(pace)) > 0.1:
+        assert high - low < by_voltage.payload_kg
+
+
+@pytest.mark.parametrize("lag_s", [0.006, -0.006])
+def test_goals_that_act_later_than_they_did_are_followed(
+    by_voltage: ByVoltage, lag_s: float
+) -> None:
+    """Of a slower computer, say."""
+    late = later(by_voltage.loaded, lag_s)
+    answer = identify_in_motion(by_voltage.robot, [late], [], PayloadFacts())
+    (note,) = [note for note in answer.notes if "its goals acted" in note]
+    assert ("later" if lag_s > 0.0 else "earlier") in note
+    low, high = answer.values[0].ci95
+    assert low <= by_voltage.payload_kg <= high
     assert high - low < by_voltage.payload_kg
+
+
+@pytest.mark.parametrize("share", [0.88, 1.12])
+def test_torque_that_differs_is_not_mistaken_for_a_clock(
+    by_voltage: ByVoltage, share: float
+) -> None:
+    """Of a battery that is nearly empty: what would be a clock as well is left open."""
+    weak = replace(by_voltage.loaded, current_A=share * by_voltage.loaded.current_A)
+    answer = identify_in_motion(by_voltage.robot, [weak], [], PayloadFacts())
+    assert answer.verdict is not Verdict.ACCEPTED or holds(answer, by_voltage.payload_kg)
+
+
+def test_what_is_off_errs_as_far_as_it_says() -> None:
+    """Over clocks that are drawn as its priors have them."""
+    random = np.random.default_rng(5)
+    covariance = np.array([[1.2e-4, -6e-6], [-6e-6, 1.2e-6]])
+    squares = np.zeros(2)
+    said = np.zeros(2)
+    for _ in range(4000):
+        truth = np.zeros(2)
+        kind = random.random()
+        if kind < OFF_BEFORE:
+            truth[0] = random.normal(0.0, PACE_SPREAD)
+        elif kind < 2.0 * OFF_BEFORE:
+            truth[1] = random.normal(0.0, LAG_OF_GOALS_S)
+        off = truth + random.multivariate_normal(np.zeros(2), covariance)
+        found, left = likeliest(off, covariance)
+        squares += (found - truth) ** 2
+        said += np.diag(left)
+    np.testing.assert_allclose(squares, said, rtol=0.2)
 
 
 def test_a_calibration_of_goals_without_a_clock_leaves_stamps_alone(by_voltage: ByVoltage) -> None:
@@ -299,11 +354,15 @@ def test_a_calibration_of_goals_without_a_clock_leaves_stamps_alone(by_voltage: 
 def test_a_clock_that_was_read_is_read_again(by_voltage: ByVoltage) -> None:
     known = by_voltage.robot.motion_calibration
     assert known is not None
+    assert known.read_clock is not None
     section = known.as_settings()
-    assert MotionCalibration.from_settings(section).read_clock == known.read_clock
-    section["read_clock"]["pace"] = -1.0
-    with pytest.raises(FormError, match="read_clock: pace"):
-        MotionCalibration.from_settings(section)
+    read = MotionCalibration.from_settings(section).read_clock
+    assert read is not None
+    np.testing.assert_allclose(read.values, known.read_clock.values, rtol=1e-8)
+    np.testing.assert_allclose(read.covariance, known.read_clock.covariance, rtol=1e-8)
+    for rows, words in (("1.0", "three rows"), ("0.1 0.0\n1.0 2.0\n2.0 1.0", "no covariance")):
+        with pytest.raises(FormError, match=words):
+            MotionCalibration.from_settings({**section, "read_clock": rows})
 
 
 @pytest.mark.skipif(not REAL.is_dir(), reason="needs recordings of real machines")
