@@ -1,4 +1,4 @@
-"""Dynamixel servos as data: registers, ranges, modes and units. The only file that knows raw servo units.
+"""Dynamixel servos as data: registers, ranges, modes and units; only here is it known what a count is worth.
 
 Addresses, sizes, ranges and first values: ROBOTIS e-manual, XM430-W350, "Control Table". Driver and emulated servo both read
 this table; what checks it is the conformance suite on hardware and the vectors of the manual (test/bus).
@@ -71,6 +71,11 @@ class Register:
     writable: bool = True
     signed: bool = False
     limit: str | None = None  # name of the register that bounds the absolute value
+
+    @property
+    def end(self) -> int:
+        """Address of the first byte behind it."""
+        return self.address + self.size
 
     @property
     def eeprom(self) -> bool:

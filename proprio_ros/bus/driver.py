@@ -2,9 +2,11 @@
 
 Every joint is either *held* (its servo keeps a position) or *driven* (a constant current). A joint is driven only while fresh
 commands come; without one (``command_timeout_s``), or when a limit or the table is reached, it is held where it is, or its current
-is zero where ``on_timeout`` says so. Goals are written anew in every
-cycle, since a sync write that is lost on the wire is lost without a word. When this process dies, the servos' own watchdogs end
-the current: that of a driven joint soon, those of held joints later, so that a pause of this process drops nothing.
+is zero where ``on_timeout`` says so.
+
+Goals are written anew in every cycle, since a sync write that is lost on the wire is lost without a word. When this process dies,
+the servos' own watchdogs end the current: that of a driven joint soon, those of held joints later, so that a pause of this process
+drops nothing.
 
 A cycle waits for no other thread: what one is about to ask for while it is not run counts in a later cycle.
 

@@ -80,6 +80,21 @@ def servos_of(robot: Robot) -> tuple[BusServo, ...]:
     return tuple(servos)
 
 
+def _table_of_all(servos: Sequence[BusServo]) -> Mapping[str, control_table.Register]:
+    """The control table that all servos of a bus share, since one packet asks all of them for the same registers.
+
+    Raises `BusError`: One has its registers elsewhere.
+    """
+    first, *others = servos
+    for servo in others:
+        if servo.model.registers != first.model.registers:
+            raise BusError(
+                f"{servo.joint} ({servo.model.name}) has other registers than {first.joint} ({first.model.name}): servos on one "
+                "bus must share a control table"
+            )
+    return first.model.registers
+
+
 class ServoState(NamedTuple):
     """What one servo reported, in SI; ``alert``: whether it has a hardware error."""
 
@@ -161,11 +176,11 @@ class DynamixelBus:
         self._packets = dynamixel_sdk.PacketHandler(2.0)
         # ROS 2 Jazzy ships 4.0.5, which has no fast option
         self._sdk_is_fast = "fast_option" in inspect.signature(self._packets.syncReadTx).parameters
-        table = self.servos[0].model.registers
+        table = _table_of_all(self.servos)
         self._state_start = table["present_current"].address
-        self._state_length = 10
+        self._state_length = table["present_position"].end - self._state_start
         self._goal_start = table["goal_current"].address
-        self._goal_length = 18
+        self._goal_length = table["goal_position"].end - self._goal_start
 
     @property
     def is_open(self) -> bool:
@@ -503,11 +518,16 @@ class DynamixelBus:
 
     def _state(self, servo_id: int, error: int, data: bytes) -> ServoState:
         model = self._by_id[servo_id].model
-        table = model.registers
+
+        def counts(name: str) -> int:
+            register = model.registers[name]
+            start = register.address - self._state_start
+            return register.decode(data[start : start + register.size])
+
         return ServoState(
-            angle_rad=model.angle_rad(table["present_position"].decode(data[6:10])),
-            velocity_rad_s=model.velocity_rad_s(table["present_velocity"].decode(data[2:6])),
-            current_A=model.current_A(table["present_current"].decode(data[0:2])),
+            angle_rad=model.angle_rad(counts("present_position")),
+            velocity_rad_s=model.velocity_rad_s(counts("present_velocity")),
+            current_A=model.current_A(counts("present_current")),
             alert=bool(error & ALERT),
         )
 

@@ -20,7 +20,7 @@ It is the section ``motion_calibration`` of a robot file that ``extends`` the ro
       scale_of_load: |                                           # of the torque scale, where a known load told it: its correlations
         0.3                                                      # with the unknowns, and its own deviations, each in one line
         0.1
-      read_clock: |                                              # of arms that a voltage drives, see `ReadClock`
+      read_time_axis: |                                              # of arms that a voltage drives, see `ReadTimeAxis`
         0.05 -0.007
         1e-4 -1e-5
         -1e-5 1e-6
@@ -120,7 +120,7 @@ class LoadScale:
 
 
 @dataclass(frozen=True, eq=False)
-class ReadClock:
+class ReadTimeAxis:
     """What torques read of the clocks of recordings that keep time, the same in every recording of an arm that a voltage drives.
 
     Torques that are made of goals act a little later than the robot file says, which looks like another pace, too.
@@ -172,7 +172,7 @@ class MotionCalibration:
     # None: no known load told the scale, or a file of before there was this
     scale_of_load: LoadScale | None = None
     # None: of torques that were measured, or a file of before there was this
-    read_clock: ReadClock | None = None
+    read_time_axis: ReadTimeAxis | None = None
 
     @property
     def keys(self) -> tuple[Key, ...]:
@@ -246,9 +246,9 @@ class MotionCalibration:
 
     def _add_what_not_all_have(self, section: dict[str, Any], std: FloatArray) -> None:
         """To plain numbers for the file; ``std``: of the terms, (P,)."""
-        clock = self.read_clock
+        clock = self.read_time_axis
         if clock is not None:
-            section["read_clock"] = lines_of([clock.values, *clock.covariance], 9)
+            section["read_time_axis"] = lines_of([clock.values, *clock.covariance], 9)
         scale = self.scale_of_load
         if scale is not None:
             of_scale = self.torque_scale_std
@@ -293,7 +293,7 @@ class MotionCalibration:
             between=_read_between(section.get("between_recordings", {})),
             spread_evidence=_read_spread_evidence(section),
             scale_of_load=_read_scale_of_load(section, terms, len(deviations), torque_scale_std),
-            read_clock=_read_clock(section),
+            read_time_axis=_read_time_axis(section),
         )
 
 
@@ -399,18 +399,18 @@ def _read_scale_of_load(
     return LoadScale(correlation[terms.place] * terms.std * scale_std, deviations * scale_std)
 
 
-def _read_clock(section: Mapping[str, Any]) -> ReadClock | None:
+def _read_time_axis(section: Mapping[str, Any]) -> ReadTimeAxis | None:
     """None where the file says nothing."""
-    if "read_clock" not in section:
+    if "read_time_axis" not in section:
         return None
-    rows = numbers_of(section, "read_clock")
+    rows = numbers_of(section, "read_time_axis")
     if [len(row) for row in rows] != [2, 2, 2] or not np.all(np.isfinite(rows)):
-        raise FormError("read_clock must be three rows of two finite numbers; calibrate again")
+        raise FormError("read_time_axis must be three rows of two finite numbers; calibrate again")
     values = np.array(rows[0])
     covariance = np.array(rows[1:])
     if np.any(covariance != covariance.T) or np.any(np.linalg.eigvalsh(covariance) <= 0.0):
-        raise FormError("read_clock: the last two rows are no covariance; calibrate again")
-    return ReadClock(values, covariance)
+        raise FormError("read_time_axis: the last two rows are no covariance; calibrate again")
+    return ReadTimeAxis(values, covariance)
 
 
 def _read_term(entry: Any, kind: str) -> list[float]:

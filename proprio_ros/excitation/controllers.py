@@ -2,7 +2,8 @@
 
 Such a controller takes numbers without names for all its joints in a fixed order, ignores a list of another length, and keeps the
 last one for ever. So every command here is whole. `Controller` says what each of them must have; `EffortController` and
-`GoalController` are the two that there are; `nodes.outputs.controller_of` chooses by ``command_interface``. No clock, no ROS.
+`GoalController` are the two that there are. `nodes.outputs.controller_of` chooses by ``command_interface``, one of
+`nodes.tables.INPUT_TOPICS`. No clock, no ROS.
 """
 
 from __future__ import annotations
@@ -51,9 +52,9 @@ class Controller(ABC):
 
     kind: ClassVar[str]  # what it takes, in words
     without: ClassVar[str] = ""  # what is wrong with a joint that the robot does not drive
-    recorded_as: ClassVar[
-        str
-    ]  # field of a JointState in which a recording has what pushes, or what is sent
+    # field of a JointState in which a recording has what pushes, or what is sent, and the topic of that
+    recorded_as: ClassVar[str]
+    recorded_on: ClassVar[str]
     can_let_go: ClassVar[bool] = False  # whether a last command lets go of the arm
     let_go: ClassVar[str]  # what is said where it does, or sends no more
 

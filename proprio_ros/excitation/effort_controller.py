@@ -33,6 +33,7 @@ class EffortController(Controller):
     kind = "effort"
     without = ", and nobody could hold it"
     recorded_as = "effort"
+    recorded_on = "applied_effort"
     can_let_go = True
     let_go = "the efforts are zero: nobody holds the arm until a controller does"
 

@@ -39,6 +39,7 @@ class GoalController(Controller):
 
     kind = "position"
     recorded_as = "position"
+    recorded_on = "joint_command"
     let_go = "no more goals are sent: the servos hold the arm at the last ones until their driver turns torque off"
 
     def __init__(self, robot: Robot, joints: Sequence[str], jump_rad: float = 0.3) -> None:

@@ -106,7 +106,7 @@ class RunOutcome:
     travel: float
     duration_s: float  # for how long the current was on
     # "time" or "travel" when all was well; else the guard: "limit", "velocity", "clearance", "held joint", "stale",
-    # "clock", "jump", "sample", or "abort". Of a free response: what ended it; that it was caught comes after
+    # "clock", "jump", "sample", "follow", "unrest", or "abort". Of a free response: what ended it; that it was caught comes after
     ended_by: str
     used: bool  # whether the run is good: it ended well and moved far enough
 
@@ -291,17 +291,21 @@ class ExcitationMachine:
             problem = self._advance()
         if problem is None and self.busy:
             problem = self._watch()
-        if problem is not None and not self._contained(problem):
+        if problem is not None and not self._ended_run_only(problem):
             self._stop(problem)
         else:
             self.command = self._commanded()
             self.fraction = max(self.fraction, self._progress())
         return self.command
 
-    def _contained(self, problem: Problem) -> bool:
-        """End the run instead of the sequence where that is enough, or catch a swinging joint before; returns whether it was."""
+    def _ended_run_only(self, problem: Problem) -> bool:
+        """End the run instead of the sequence where that is enough, or catch a swinging joint before; returns whether it was.
+
+        Joint states that pause end a push, which is repeated, and nothing of a swing that was caught. A free swing that comes
+        near a limit or the table, or whose joint gets too fast, is caught. All else ends the sequence.
+        """
         if problem.ended_by == "stale":
-            return self._pause_contained(problem)
+            return self._paused_run_only(problem)
         run = self._run
         swings = self.phase is Phase.PROBE and run.is_free_response
         if not swings or problem.ended_by not in CAUGHT_AFTER:
@@ -313,7 +317,7 @@ class ExcitationMachine:
         self._caught_for = problem
         return True
 
-    def _pause_contained(self, problem: Problem) -> bool:
+    def _paused_run_only(self, problem: Problem) -> bool:
         """A pause costs a push, which is repeated; and where a swing was over, nothing."""
         if self.phase is Phase.PROBE and self._lost_runs < MOST_LOST_RUNS:
             self._lost_runs += 1

@@ -2,7 +2,8 @@
 
 A calibration learns it from runs in which the robot's friction and torque constants are unknown, too: of nine runs there remain
 about three that tell it, and so it is known within a factor of two. What is weighed then shows it again, with a robot that is
-known. Both count, and the interval is of all standard deviations that may be, each as probable as it is.
+known. Both count, and the interval is of all standard deviations that may be, each as probable as it is. It is one spread of all
+runs: no run is weighted by itself, and which is left out is decided in `probes.payload.identify`.
 """
 
 from __future__ import annotations

@@ -154,9 +154,8 @@ class ExcitationNode(ManagedNode):
     def _controller_output(self, interface: str) -> Output:
         topic = self.values["input_topic"] or INPUT_TOPICS[interface]
         commands = self.create_publisher(Float64MultiArray, topic, COMMANDS)
-        said_on = "applied_effort" if interface == "effort" else "joint_command"
-        applied = self.create_publisher(JointState, said_on, STREAM)
         controller = controller_of(self, self._robot, topic)
+        applied = self.create_publisher(JointState, controller.recorded_on, STREAM)
         with suppress(ProprioError):  # an arm that is held waits for nothing that takes long
             load_sequence(DEFAULT_PROBE, self._robot)
         switching = switching_of(self, commands.topic_name)

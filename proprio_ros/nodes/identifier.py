@@ -3,8 +3,10 @@
 A job has a thread of its own, so that neither the arm's motion nor the identification ever blocks the executor; a second thread
 estimates from what has come so far, where the probe can (a sphere cannot: where it rolls shows only when a run is over). The
 recording is written before anything is identified, and what is identified is the recording, by the function that `proprio replay`
-calls. Which probes there are, the registry says. `inputs` is what comes in, `exciting` who moves the arm, `results` what goes out,
-`jobs` and `weighing` what is done between.
+calls. Which probes there are, the registry says.
+
+`inputs` is what comes in, `excitation_client` who moves the arm, `results` what goes out, `jobs` and `weighing` what is done
+between, and `running` the estimate while the arm works.
 """
 
 from __future__ import annotations

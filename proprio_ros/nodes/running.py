@@ -112,7 +112,7 @@ class Running:
             with self._lock:
                 self._news = News(estimate, arrival.stamp_ns, arrival.sent_s)
                 changes = estimate.changed is not self._changed
-                self._tell(at_once=changes)
+                self._publish_or_withdraw(at_once=changes)
         return True
 
     def _fed(self, arrival: Arrival) -> OnlineEstimate | None:
@@ -136,10 +136,10 @@ class Running:
         with self._lock:
             news = self._news
             if news is not None and news.behind_s(clock.now()) >= WARNED_S:
-                self._tell(at_once=True)
+                self._publish_or_withdraw(at_once=True)
 
-    def _tell(self, at_once: bool) -> None:
-        """Publish the newest estimate, if it is due, as what it is by now."""
+    def _publish_or_withdraw(self, at_once: bool) -> None:
+        """The newest estimate, if it is due, as what it is by now; nothing where it is too old (`WITHDRAWN_S`)."""
         if self._silent() or self._news is None:
             self._news = None
             return

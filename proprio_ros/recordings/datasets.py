@@ -24,7 +24,7 @@ from proprio_ros.errors import ConfigurationError, ProprioError, RecordingError,
 from proprio_ros.inputs.reading import json_of, path_problem, text_of
 from proprio_ros.quantity import POSITIONS
 from proprio_ros.recordings.arrivals import of_bursts
-from proprio_ros.recordings.clocks import in_order, is_counted
+from proprio_ros.recordings.clock_faults import in_order, is_counted
 from proprio_ros.recordings.joint_names import fitted_names
 from proprio_ros.recordings.read_options import Columns, ReadOptions
 from proprio_ros.recordings.sign_bits import without_sign_bits
@@ -32,8 +32,8 @@ from proprio_ros.version import to_install
 
 VERSIONS = ("v2.0", "v2.1", "v3.")
 """Beginnings of ``codebase_version`` that are read; 2.0 differs from 2.1 in its statistics alone."""
-# columns that say when a frame was; the first that is there counts
 LONGEST_S = 4e9  # no clock shows more, one that counts since 1970 among them
+# columns that say when a frame was; the first that is there counts
 CLOCK = ("timestamp", "frame_index")
 FRAMES, BUFFER = 8192, 1 << 20
 """Frames, and bytes of a column, that are held at once where a part of an episode is read."""

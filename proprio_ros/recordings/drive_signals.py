@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from proprio_ros.errors import RecordingError
-from proprio_ros.recordings.clocks import Clock, clock_of, messages_at
+from proprio_ros.recordings.clock_faults import ClockFaults, clock_faults_of, messages_at
 from proprio_ros.recordings.columns import joint_state_columns
 from proprio_ros.recordings.joint_names import fitted_names
 from proprio_ros.recordings.messages import stamp_ns
@@ -44,7 +44,7 @@ def drive_signals_in(bag: Bag, options: ReadOptions) -> DriveSignals:
         return NOTHING
     states = joint_state_columns(bag, state, ["position"], options.conventions)
     options = fitted_names(bag.path, states.names, options).options
-    clock = clock_of(state.name, states)
+    clock = clock_faults_of(state.name, states)
     ahead_ns = clock.mended(states).clock_ns()
     goal_ns, names, goals = NOTHING.goal_ns, NOTHING.names, NOTHING.goals
     if goal is not None:
@@ -70,7 +70,7 @@ def _beside(
 
 
 def _goals(
-    bag: Bag, topic: Topic, clock: Clock, ahead_ns: int, options: ReadOptions
+    bag: Bag, topic: Topic, clock: ClockFaults, ahead_ns: int, options: ReadOptions
 ) -> tuple[TimeArray, tuple[str, ...], FloatArray]:
     """Where joints were sent: times [ns], shape (G,), names, and positions [rad or m], shape (G, J)."""
     columns = clock.mended(
@@ -95,7 +95,7 @@ def _goals(
 def _voltages(
     bag: Bag,
     topic: Topic,
-    clock: Clock,
+    clock: ClockFaults,
     ahead_ns: int,
 ) -> tuple[TimeArray, FloatArray]:
     """The supply: times [ns] and voltages [V], shape (V,) each."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from proprio_ros.errors import RecordingError, printable
-from proprio_ros.recordings.clocks import Clock
+from proprio_ros.recordings.clock_faults import ClockFaults
 from proprio_ros.recordings.columns import JointColumns, array_columns, joint_state_columns
 from proprio_ros.recordings.effort import EFFORT_UNITS, ampere, held
 from proprio_ros.recordings.noted import Noted
@@ -25,7 +25,7 @@ def commanded(
     topic: Topic,
     means: InputTopic,
     states: JointColumns,
-    clock: Clock,
+    clock: ClockFaults,
     options: ReadOptions,
 ) -> tuple[InputRecord, list[str]]:
     """Input from a command topic, on the clock of the joint states.

@@ -191,11 +191,12 @@ def _copies(position: FloatArray) -> np.ndarray:
     after = np.searchsorted(own, repeated)
     inner = after < len(own)
     repeated = repeated[inner]
+    # the first message repeats none, so that one of its own stands before each
     before = position[own[after[inner] - 1]]
-    way = position[own[after[inner]]] - before
-    moved = np.abs(way).max(axis=1, initial=0.0)
+    step_of_others = position[own[after[inner]]] - before
+    moved = np.abs(step_of_others).max(axis=1, initial=0.0)
     # of a motion that repeats itself to the last digit a sample lies between its neighbours, a copy lies behind both
-    back = ((position[repeated] - before) * way).sum(axis=1) < 0.0
+    back = ((position[repeated] - before) * step_of_others).sum(axis=1) < 0.0
     # where the arm stands, a coarse reading comes again by chance
     next_to_each_other = own[after[inner]] - own[after[inner] - 1] <= CLEAR_ROWS
     clearly = next_to_each_other & (moved > CLEAR_STEPS * _step_rad(position))

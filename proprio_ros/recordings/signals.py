@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from proprio_ros.errors import RecordingError
-from proprio_ros.recordings.clocks import Clock, clock_of, messages_at
+from proprio_ros.recordings.clock_faults import ClockFaults, clock_faults_of, messages_at
 from proprio_ros.recordings.columns import JointColumns, joint_state_columns
 from proprio_ros.recordings.contradictions import refuse_pace
 from proprio_ros.recordings.effort import CURRENT_PER_COUNT_A, Effort, known_or_none
@@ -48,7 +48,7 @@ class Heard:
     path: Path  # of the bag
     state: Topic  # of the joint states
     columns: JointColumns  # joint states of one publisher, their clocks mended
-    clock: Clock  # what was wrong with the clocks of the bag
+    clock: ClockFaults  # what was wrong with the clocks of the bag
     inputs: InputRecord | None  # commands, where they are the input
     beside: InputRecord | None  # commands, where measured efforts are the input
     torque_off_ns: Spans
@@ -141,7 +141,7 @@ def _of_one_clock(
     state: Topic,
     columns: JointColumns,
     options: ReadOptions,
-) -> tuple[JointColumns, Clock]:
+) -> tuple[JointColumns, ClockFaults]:
     """Joint states of the arm's own driver in the order of a clock that goes on evenly, and what was wrong with the clocks.
 
     Args:
@@ -151,14 +151,14 @@ def _of_one_clock(
         options: How they are read.
     """
     # parts whose times come twice look like two publishers, and two publishers may hide a step
-    before = clock_of(state.name, columns)
+    before = clock_faults_of(state.name, columns)
     columns = of_one_publisher(
         Noted(bag.path, state.name),
         before.mended(columns),
     )
     if not options.states_only:
         refuse_prefix(bag.path, columns.names, options.joint_order)
-    behind = clock_of(state.name, columns)
+    behind = clock_faults_of(state.name, columns)
     return behind.mended(columns), before.then(behind)
 
 
@@ -248,7 +248,7 @@ def _joint_record(heard: Heard, noted: Noted, options: ReadOptions) -> JointReco
 
 
 def _torque_off(
-    bag: Bag, state: Topic, columns: JointColumns, clock: Clock, notes: list[str]
+    bag: Bag, state: Topic, columns: JointColumns, clock: ClockFaults, notes: list[str]
 ) -> Spans:
     """When torque was off, on the clock of the joint states, until the last of these."""
     candidates = bag.topics.called(TORQUE_ENABLED, [BOOL], state.namespace)

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from proprio_ros.errors import RecordingError
-from proprio_ros.recordings.clocks import is_counted
+from proprio_ros.recordings.clock_faults import is_counted
 from proprio_ros.recordings.columns import JointColumns
 from proprio_ros.recordings.noted import Noted, count_of
 from proprio_ros.recordings.pace import rate_by_velocities

@@ -245,7 +245,7 @@ def _motion_rows(folder: Path) -> Iterator[Row]:
     stages = {
         "recordings/signals.py:hear": "reading",
         "recordings/runs.py:cut_runs": "looking for pushes",
-        "regression/clocks.py:with_clocks": "clock",
+        "regression/time_axis.py:with_time_axes": "clock",
         "payload/moving.py:_weighing": "weighing",
         IMPORTS: "imports, within these and before",
     }

@@ -4,13 +4,20 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 
 import dynamixel_sdk as sdk
 import pytest
 from support.desk import Desk
 from support.simulated_time import SimulatedClock
 
-from proprio_ros.bus.control_table import XM430_W350, HardwareError, OperatingMode, servo_model
+from proprio_ros.bus.control_table import (
+    XM430_W350,
+    HardwareError,
+    OperatingMode,
+    Register,
+    servo_model,
+)
 from proprio_ros.bus.dynamixel import TRIES, BusServo, DynamixelBus, Goal, servos_of
 from proprio_ros.bus.port import REPLY_TIMEOUT_S
 from proprio_ros.calibration_files.motors import MotorIdentity, other_arm
@@ -111,6 +118,15 @@ def test_the_wrong_baud_rate(desk: Desk) -> None:
     bus.close()
     with pytest.raises(BusError, match=r"baud rate 1234 is not known.*1000000"):
         desk.bus(baud_rate=1234)
+
+
+def test_servos_with_other_registers_are_not_read_as_if_they_had_the_same() -> None:
+    """One packet asks all of them; the positions of another series stand elsewhere."""
+    moved = {**XM430_W350.registers, "present_position": Register(136, 4, writable=False)}
+    other = replace(XM430_W350, name="another", registers=moved)
+    servos = (BusServo("joint1", 11, XM430_W350), BusServo("joint2", 12, other))
+    with pytest.raises(BusError, match=r"joint2 \(another\) has other registers than joint1"):
+        DynamixelBus("/dev/null", servos)
 
 
 def test_servos_of_a_robot() -> None:

@@ -16,7 +16,7 @@ from proprio_ros.identification.estimate import Verdict
 from proprio_ros.pipeline.api import Weighing
 from proprio_ros.pipeline.replay import read_for
 from proprio_ros.pipeline.request import Options, request_of
-from proprio_ros.probes.payload.identify import Weighed, WeighingOptions, _weighed
+from proprio_ros.probes.payload.identify import Weighed, WeighingOptions, _leaving_runs_out
 from proprio_ros.probes.payload.narrowing import (
     WORTH,
     _round,
@@ -48,7 +48,7 @@ def calibration(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def answered(robot: Robot, runs: list[Run], facts: PayloadFacts) -> Weighed:
-    attempt = _weighed(robot, runs, facts, WeighingOptions(), ())
+    attempt = _leaving_runs_out(robot, runs, facts, WeighingOptions(), ())
     assert attempt.weighed is not None
     return attempt.weighed
 

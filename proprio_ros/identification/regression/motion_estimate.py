@@ -18,11 +18,6 @@ from proprio_ros.identification.estimate import LIMIT_OF_CALIBRATION, UnknownRow
 from proprio_ros.identification.judge import Refusal, judge, not_identifiable
 from proprio_ros.identification.regression import refusals
 from proprio_ros.identification.regression.causes import with_cause
-from proprio_ros.identification.regression.clocks import (
-    with_clocks,
-    with_clocks_named,
-    with_read_clock,
-)
 from proprio_ros.identification.regression.motion_equations import Arm, once_each
 from proprio_ros.identification.regression.motion_fit import (
     Centre,
@@ -36,6 +31,11 @@ from proprio_ros.identification.regression.motion_fit import (
 )
 from proprio_ros.identification.regression.motion_prior import file_prior, relative_torque_std
 from proprio_ros.identification.regression.solve import Prior
+from proprio_ros.identification.regression.time_axis import (
+    with_read_time_axis,
+    with_time_axes,
+    with_time_axes_named,
+)
 from proprio_ros.identification.regression.torque_scale import Reference, scaled_by_references
 from proprio_ros.identification.unknowns import Role
 from proprio_ros.quantity import Z95, shown
@@ -69,19 +69,19 @@ def calibrate_motions(
     """
     robot = replace(robot, motion_calibration=None)
     progress(f"fitting {len(motions)} motions")
-    followed = with_clocks(robot, motions)
+    followed = with_time_axes(robot, motions)
     calibration, fits = learn_arm(robot, followed)
     refusal = _refusal(robot, motions, followed, calibration)
     if not refusal.withheld and references:
         progress("weighing the references")
         loaded = [motion for motion, _ in references]
         masses_kg = [mass_kg for _, mass_kg in references]
-        loaded = with_clocks(robot, loaded, calibration, loaded=True)
+        loaded = with_time_axes(robot, loaded, calibration, loaded=True)
         references = list(zip(loaded, masses_kg, strict=True))
         calibration, refusal = scaled_by_references(robot, calibration, references, centre)
     recorded = [*followed, *(motion for motion, _ in references)]
     if not refusal.withheld:
-        calibration = with_read_clock(robot, recorded, calibration)
+        calibration = with_read_time_axis(robot, recorded, calibration)
     progress("weighing each empty motion by the others")
     weighed = () if refusal.withheld else _weighed_empty(robot, followed)
     arm = Arm.of(
@@ -120,7 +120,7 @@ def _refusal(
     refused = judge(calibration_refusals(robot, followed, calibration))
     share = float(np.nan_to_num(_unexplained(followed, calibration)).max())
     refusal = with_cause(refused, robot, (), as_stamped, share)
-    return with_clocks_named(refusal, followed) if refusal is refused else refusal
+    return with_time_axes_named(refusal, followed) if refusal is refused else refusal
 
 
 def _would_be_too_wide(weighable: Weighable) -> Refusal:

@@ -35,7 +35,7 @@ PUBLISHED: Mapping[str, float] = {
 }
 """Standard deviation by kind: both scales and friction relative, the offset in parts of Coulomb friction, the zero [rad].
 
-A clock keeps time until a recording shows that it does not (`clocks`): pace is by how much accelerations are larger than it has
+A clock keeps time until a recording shows that it does not (`time_axis`): pace is by how much accelerations are larger than it has
 them, relative, and lag how much later torques are recorded than positions [s].
 """
 PSEUDO_RECORDINGS = 4.0  # So many recordings the published word counts as.

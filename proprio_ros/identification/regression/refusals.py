@@ -17,6 +17,7 @@ from proprio_ros.identification.regression.motion_fit import (
     HeldByFile,
     MotionFit,
 )
+from proprio_ros.identification.regression.trends import Trend
 from proprio_ros.kinds import label_of
 from proprio_ros.quantity import Z95, shown, written
 from proprio_ros.recordings.effort import effort_sign_option
@@ -43,6 +44,10 @@ positions are so far off was put together anew, where a recording knows that: th
 both are off alike, as from their URDF, a load shows it, too, and an interval holds that is off by less."""
 
 
+MISFIT_RATIO = 3.0
+"""The motion with the payload may be explained so much worse than the empty one; beyond that something else happened in it."""
+LEFT_OVER = 0.1
+"""A joint of whose torque less is unexplained than this share is explained well enough, whatever the empty one was."""
 GOALS = "goals are those that the servos heard (none late, cut off or counted from another zero)"
 """What the torques of a voltage's motors are made of, where nobody measured a current."""
 
@@ -242,6 +247,72 @@ def noticed_from(std: FloatArray | float) -> FloatArray:
     """From what share on it is noticed that a torque is another one, where that share is known with a standard deviation."""
     least: FloatArray = np.maximum(RATIO_SHARE, APART_SIGMAS * np.hypot(std, RATIO_STD))
     return least
+
+
+def other_torque(motion: Motion, fit: MotionFit) -> Iterator[Refusal]:
+    """A joint whose torque is another one than the empty arm's, as far as a recording knows that."""
+    ratio = 1.0 / (1.0 + fit.off["own_scale"][0])
+    far = np.abs(ratio - 1.0) / noticed(fit)
+    worst = int(np.argmax(far))
+    if far[worst] > 1.0:
+        yield rejected(
+            "other_torque",
+            "torques are not those of the empty arm",
+            f"{motion.name}: the torque of {fit.joints[worst]} is {ratio[worst]:.2f} times what it should be by the empty hand's "
+            f"motion: {_alike(motion)}",
+        )
+
+
+def _alike(motion: Motion) -> str:
+    """What has to be alike in two recordings for their torques to be."""
+    if motion.made_of_goals:
+        return f"check that {GOALS}, that P gain and supply are those of then, and that it is the same arm"
+    return "were both recorded with the same driver, unit, sign and torque constants, and is it the same arm?"
+
+
+def halves_disagree(name: str, fit: MotionFit) -> Iterator[Refusal]:
+    """The masses of the two halves of a recording; ``name``: of it."""
+    if fit.halves is None:
+        return
+    (early, early_std), (late, late_std) = fit.halves
+    if abs(early - late) > APART_SIGMAS * np.hypot(early_std, late_std):
+        yield rejected(
+            "changed_midway",
+            "the two halves of the recording say different masses",
+            f"{name}: the first half says {shown('kg', early, spec='.0f')}, the second {shown('kg', late, spec='.0f')}: "
+            "was something picked up or put down meanwhile? Record the motions with and without it apart",
+        )
+
+
+def changed_at_once(motion: Motion, trend: Trend) -> Iterator[Refusal]:
+    """Where a payload changes in a motion, which explains it better than what motors do."""
+    step = trend.step
+    if step is None or not trend.payload_changes:
+        return
+    size = shown("kg", abs(step.change_kg), spec=".0f")
+    what = "more" if step.change_kg > 0.0 else "less"
+    yield rejected(
+        "changed_midway",
+        "the payload changes in the recording",
+        f"{motion.name}: from about {step.time_s:.0f} s on the hand holds {size} {what}: was something picked up or put down, or "
+        "another payload set in the controller meanwhile? Weigh the parts, --span FROM:TO",
+    )
+
+
+def explained_worse(motion: Motion, fit: MotionFit) -> Iterator[Refusal]:
+    """A joint that decides, whose torque is explained worse than with an empty hand."""
+    unexplained = deciding(fit.tells, fit.unexplained)
+    ratio = fit.residual / fit.empty_residual
+    # never of one that does not decide
+    worst = int(np.nanargmax(np.where(unexplained > LEFT_OVER, ratio, 0.0)))
+    if unexplained[worst] > LEFT_OVER and ratio[worst] > MISFIT_RATIO:
+        goals = f", and check that {GOALS}" if motion.made_of_goals else ""
+        yield rejected(
+            "misfit",
+            "the model does not explain the recording",
+            f"{motion.name}: the torque of {fit.joints[worst]} is explained {ratio[worst]:.1f} times worse than with an empty hand"
+            f": was the payload held firmly, did nothing touch the arm, and are the joints' zeros where they were?{goals}",
+        )
 
 
 def other_zero(name: str, fit: MotionFit) -> Iterator[Refusal]:

@@ -140,7 +140,7 @@ def weigh(
     Raises:
         RecordingError: A run cannot be related to the robot at all (unknown joint, missing held joint).
     """
-    return _weighed(robot, runs, facts, options, baseline).estimate
+    return _leaving_runs_out(robot, runs, facts, options, baseline).estimate
 
 
 def weigh_with_advice(
@@ -162,7 +162,7 @@ def weigh_with_advice(
     Raises:
         RecordingError: As `weigh` does.
     """
-    answer = _weighed(robot, runs, facts, options, baseline)
+    answer = _leaving_runs_out(robot, runs, facts, options, baseline)
     estimate = answer.estimate
     if answer.weighed is None:
         return estimate
@@ -170,7 +170,7 @@ def weigh_with_advice(
     return replace(estimate, notes=(*estimate.notes, *advice))
 
 
-def _weighed(
+def _leaving_runs_out(
     robot: Robot,
     runs: Sequence[Run],
     facts: PayloadFacts | None,
@@ -182,7 +182,7 @@ def _weighed(
     options = options or WeighingOptions()
     kept = list(runs)
     left_out = list[str]()
-    first = _weigh(robot, kept, facts, options, baseline)
+    first = _attempt(robot, kept, facts, options, baseline)
     last = first
     recordings = {run.name.rpartition("#")[0] or run.name for run in runs}
     while len(recordings) == 1 and last.blocking_run is not None:
@@ -190,7 +190,7 @@ def _weighed(
             break
         left_out.append(last.blocking_run.name)
         kept = [run for run in kept if run is not last.blocking_run]
-        last = _weigh(robot, kept, facts, options, baseline)
+        last = _attempt(robot, kept, facts, options, baseline)
     if last.estimate.verdict is Verdict.REJECTED:
         cause = () if first.weighed is None else first.weighed.cause
         said = replace(first.estimate, reasons=(*cause, *first.estimate.reasons))
@@ -262,7 +262,7 @@ def _off_alike(runs: Sequence[PreparedRun]) -> list[PreparedRun]:
     ]
 
 
-def _weigh(
+def _attempt(
     robot: Robot,
     runs: Sequence[Run],
     facts: PayloadFacts,
@@ -346,7 +346,11 @@ def _nominal_and_open(
 
 
 def _blocking_run(weighed: Weighed, estimate: Estimate, usable: _Usable) -> Run | None:
-    """The run of the weighing that stands in the way of an answer, where there is one."""
+    """The run of the weighing that stands in the way of an answer, where there is one.
+
+    First one whose stamps are off, then the outlier, then the push with the strongest onset of its own. Scopes of unknowns count
+    as `usable.runs` do.
+    """
     off = {
         reason.subject
         for reason in estimate.reasons

@@ -37,11 +37,6 @@ from proprio_ros.identification.judge import (
 from proprio_ros.identification.reasons import Reason
 from proprio_ros.identification.regression import refusals
 from proprio_ros.identification.regression.causes import with_cause
-from proprio_ros.identification.regression.clocks import (
-    with_clocks,
-    with_clocks_named,
-    with_read_clock,
-)
 from proprio_ros.identification.regression.motion_equations import STRETCH_S, once_each
 from proprio_ros.identification.regression.motion_estimate import calibration_refusals
 from proprio_ros.identification.regression.motion_fit import (
@@ -53,14 +48,17 @@ from proprio_ros.identification.regression.motion_fit import (
 from proprio_ros.identification.regression.motion_prior import relative_torque_std
 from proprio_ros.identification.regression.narrowing import by_one_more
 from proprio_ros.identification.regression.rigid_body import inertia_about_centre, nearest_body
+from proprio_ros.identification.regression.time_axis import (
+    with_read_time_axis,
+    with_time_axes,
+    with_time_axes_named,
+)
 from proprio_ros.identification.regression.trends import CHANGES, ROUNDS, Trend, without_trend
 from proprio_ros.quantity import shown
 from proprio_ros.recordings.motions import Motion
 from proprio_ros.robot import Robot
 from proprio_ros.sim.payload import PayloadFacts
 
-MISFIT_RATIO = 3.0
-"""The motion with the payload may be explained so much worse than the empty one; beyond that something else happened in it."""
 # How far from nothing an empty hand may weigh before the calibration is called out of date.
 DRIFT_SIGMAS = 3.0
 UNTOLD = 0.98  # Of that spread: nothing at all was told.
@@ -230,13 +228,13 @@ def _weighing(
     calibration = robot.motion_calibration
     known = "calibration"
     if calibration is not None:
-        motions = with_clocks(robot, motions, calibration, loaded=True)
-        baseline = with_clocks(robot, baseline, calibration)
+        motions = with_time_axes(robot, motions, calibration, loaded=True)
+        baseline = with_time_axes(robot, baseline, calibration)
     elif baseline:
         known = "baseline"
-        baseline = with_clocks(robot, baseline)
-        calibration = with_read_clock(robot, baseline, fit_empty(robot, baseline))
-        motions = with_clocks(robot, motions, calibration, loaded=True)
+        baseline = with_time_axes(robot, baseline)
+        calibration = with_read_time_axis(robot, baseline, fit_empty(robot, baseline))
+        motions = with_time_axes(robot, motions, calibration, loaded=True)
     else:
         return None
     return _Weighing(motions, baseline, calibration, known, centre)
@@ -328,6 +326,8 @@ def _with_what_is_wrong(
 ) -> tuple[Refusal, _Weighing]:
     """The refusal with the first cause that is found for it, and the motions that it speaks of.
 
+    In this order: each motion by itself, what makes torques different or clocks run off, a trend, a payload that sits elsewhere.
+
     Args:
         refusal: Of all motions together; an accepted answer stays as it is.
         robot: As it was weighed with.
@@ -350,7 +350,7 @@ def _with_what_is_wrong(
     if named is not refusal:
         # what explains the torques by their stamps bent the clock, too
         return named, replace(weighing, motions=as_stamped[0], baseline=as_stamped[1])
-    refusal = with_clocks_named(refusal, (*motions, *weighing.baseline))
+    refusal = with_time_axes_named(refusal, (*motions, *weighing.baseline))
     named = _with_trend(refusal, motions, trends)
     if named is refusal and weighing.centre is not None:
         named = _elsewhere(refusal, motions, weighing.centre, fit, search(motions), known)
@@ -504,26 +504,10 @@ def _refusals(
 ) -> Iterator[Refusal]:
     name = motions[0].name
     for motion, trend in zip(motions, fit.trends, strict=True):
-        yield from _changed_at_once(motion, trend)
+        yield from refusals.changed_at_once(motion, trend)
     yield from refusals.other_zero(name, fit)
-    ratio = 1.0 / (1.0 + fit.off["own_scale"][0])
-    far = np.abs(ratio - 1.0) / refusals.noticed(fit)
-    if far[worst := int(np.argmax(far))] > 1.0:
-        yield rejected(
-            "other_torque",
-            "torques are not those of the empty arm",
-            f"{name}: the torque of {fit.joints[worst]} is {ratio[worst]:.2f} times what it should be by the empty hand's motion: "
-            f"{_alike(motions[0])}",
-        )
-    if fit.halves is not None:
-        (early, early_std), (late, late_std) = fit.halves
-        if abs(early - late) > refusals.APART_SIGMAS * np.hypot(early_std, late_std):
-            yield rejected(
-                "changed_midway",
-                "the two halves of the recording say different masses",
-                f"{name}: the first half says {shown('kg', early, spec='.0f')}, the second {shown('kg', late, spec='.0f')}: "
-                "was something picked up or put down meanwhile? Record the motions with and without it apart",
-            )
+    yield from refusals.other_torque(motions[0], fit)
+    yield from refusals.halves_disagree(name, fit)
     yield from refusals.joints_disagree(motions[0], fit)
     unexplained = refusals.deciding(fit.tells, fit.unexplained)
     yield from refusals.unexplained_torque(
@@ -533,43 +517,11 @@ def _refusals(
         f"{name}: ",
         motions[0].made_of_goals,
     )
-    ratio = fit.residual / fit.empty_residual
-    # never of one that does not decide
-    worst = int(np.nanargmax(np.where(unexplained > 0.1, ratio, 0.0)))
-    if unexplained[worst] > 0.1 and ratio[worst] > MISFIT_RATIO:
-        goals = f", and check that {refusals.GOALS}" if motions[0].made_of_goals else ""
-        yield rejected(
-            "misfit",
-            "the model does not explain the recording",
-            f"{name}: the torque of {fit.joints[worst]} is explained {ratio[worst]:.1f} times worse than with an empty hand: was "
-            f"the payload held firmly, did nothing touch the arm, and are the joints' zeros where they were?{goals}",
-        )
+    yield from refusals.explained_worse(motions[0], fit)
     yield from refusals.unlike_urdf(fit.arm_over_urdf, motions[0])
     yield from refusals.far_from_prior(fit.arm, known)
     yield from refusals.lighter_than_empty(
         float(fit.values[0]), fit.half_width, "are the recordings mixed up?"
-    )
-
-
-def _alike(motion: Motion) -> str:
-    """What has to be alike in two recordings for their torques to be."""
-    if motion.made_of_goals:
-        return f"check that {refusals.GOALS}, that P gain and supply are those of then, and that it is the same arm"
-    return "were both recorded with the same driver, unit, sign and torque constants, and is it the same arm?"
-
-
-def _changed_at_once(motion: Motion, trend: Trend) -> Iterator[Refusal]:
-    """Where a payload changes in a motion, which explains it better than what motors do."""
-    step = trend.step
-    if step is None or not trend.payload_changes:
-        return
-    size = shown("kg", abs(step.change_kg), spec=".0f")
-    what = "more" if step.change_kg > 0.0 else "less"
-    yield rejected(
-        "changed_midway",
-        "the payload changes in the recording",
-        f"{motion.name}: from about {step.time_s:.0f} s on the hand holds {size} {what}: was something picked up or put down, or "
-        "another payload set in the controller meanwhile? Weigh the parts, --span FROM:TO",
     )
 
 

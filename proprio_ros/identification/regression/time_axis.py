@@ -20,7 +20,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from proprio_ros.calibration_files.motions import MotionCalibration, ReadClock
+from proprio_ros.calibration_files.motions import MotionCalibration, ReadTimeAxis
 from proprio_ros.errors import RecordingError
 from proprio_ros.identification.chance import normal_density
 from proprio_ros.identification.estimate import Verdict
@@ -74,7 +74,7 @@ LEAST_ACCELERATION = -0.9
 
 
 @dataclass(frozen=True)
-class Clock:
+class TimeAxis:
     """One recording's time axis as its torques show it."""
 
     pace: float  # true time over stamped time
@@ -93,7 +93,7 @@ class Clock:
         return abs(self.lag_s) > SIGMAS * np.hypot(self.lag_std_s, LAG_MISFIT_S)
 
 
-def with_clocks(
+def with_time_axes(
     robot: Robot,
     motions: Sequence[Motion],
     calibration: MotionCalibration | None = None,
@@ -119,7 +119,7 @@ def _followed(
     if voltage_driven(robot):
         return _followed_by_voltage(robot, motion, calibration)
     try:
-        clock = clock_of(robot, motion, calibration, loaded=loaded)
+        clock = time_axis_of(robot, motion, calibration, loaded=loaded)
     except RecordingError:  # of no use for anything: the weighing says why
         return motion
     notes = []
@@ -156,11 +156,11 @@ def _followed_by_voltage(
 
     Torques are made of goals here, whose delay nobody states, and it looks like another pace.
     """
-    if calibration is None or calibration.read_clock is None:
+    if calibration is None or calibration.read_time_axis is None:
         return motion
-    usual = calibration.read_clock
+    usual = calibration.read_time_axis
     try:
-        read = read_clock(robot, motion, calibration)
+        read = read_time_axis(robot, motion, calibration)
     except RecordingError:
         return motion
     found, covariance = likeliest(
@@ -195,7 +195,7 @@ def likeliest(off: FloatArray, covariance: FloatArray) -> tuple[FloatArray, Floa
     Each is a Gaussian prior of what is off, their evidences weigh them, and moments are those of the mixture about the likeliest.
 
     Args:
-        off: As `ReadClock.values`, beside what a recording reads whose clock keeps time, (2,).
+        off: As `ReadTimeAxis.values`, beside what a recording reads whose clock keeps time, (2,).
         covariance: Of errors of that, (2, 2).
 
     Returns: The same of the likeliest, and its covariance.
@@ -240,8 +240,8 @@ def _as_likely_by_torque(
         calibration: Of the arm.
         found: What would be off of the clock, see `likeliest`, (2,).
     """
-    assert calibration.read_clock is not None
-    usual = calibration.read_clock
+    assert calibration.read_time_axis is not None
+    usual = calibration.read_time_axis
     values, covariance = _read(robot, motion, calibration, (*CLOCK, "common_scale"))
     off = values - np.append(usual.values, 0.0)
     covariance = covariance + np.diag([PACE_BETWEEN**2, LAG_BETWEEN_S**2, TORQUE_BETWEEN**2])
@@ -254,7 +254,7 @@ def _as_likely_by_torque(
     return float(1.0 / (1.0 + np.exp(np.clip(clock - torque, -500.0, 500.0))))
 
 
-def read_clock(robot: Robot, motion: Motion, calibration: MotionCalibration) -> ReadClock:
+def read_time_axis(robot: Robot, motion: Motion, calibration: MotionCalibration) -> ReadTimeAxis:
     """What the clock of one recording reads, beside the calibration's arm, and what differs from recording to recording.
 
     Args:
@@ -265,7 +265,7 @@ def read_clock(robot: Robot, motion: Motion, calibration: MotionCalibration) -> 
     Raises `RecordingError`: It is too short, or of other joints than the calibration.
     """
     values, covariance = _read(robot, motion, calibration, CLOCK)
-    return ReadClock(values, covariance + np.diag([PACE_BETWEEN**2, LAG_BETWEEN_S**2]))
+    return ReadTimeAxis(values, covariance + np.diag([PACE_BETWEEN**2, LAG_BETWEEN_S**2]))
 
 
 def _read(
@@ -288,7 +288,7 @@ def _read(
     return read, covariance * slopes[:, None] * slopes
 
 
-def with_read_clock(
+def with_read_time_axis(
     robot: Robot, motions: Sequence[Motion], calibration: MotionCalibration
 ) -> MotionCalibration:
     """The calibration with the clock that its own recordings read, of an arm that a voltage drives: their mean, by least squares.
@@ -303,13 +303,13 @@ def with_read_clock(
     information = np.zeros((2, 2))
     pull = np.zeros(2)
     for motion in motions:
-        read = read_clock(robot, motion, calibration)
+        read = read_time_axis(robot, motion, calibration)
         weight = np.linalg.inv(read.covariance)
         information += weight
         pull += weight @ read.values
     covariance = np.linalg.inv(information)
     symmetric = 0.5 * (covariance + covariance.T)
-    return replace(calibration, read_clock=ReadClock(covariance @ pull, symmetric))
+    return replace(calibration, read_time_axis=ReadTimeAxis(covariance @ pull, symmetric))
 
 
 def _leaves_too_little(motion: Motion, pace: float) -> bool:
@@ -356,7 +356,7 @@ def _goals_followed(motion: Motion, lag_s: float) -> Reason:
     )
 
 
-def with_clocks_named(refusal: Refusal, motions: Sequence[Motion]) -> Refusal:
+def with_time_axes_named(refusal: Refusal, motions: Sequence[Motion]) -> Refusal:
     """A refusal for which nothing else was found, with the clocks that were followed before its other reasons."""
     if refusal.verdict is Verdict.ACCEPTED:
         return refusal
@@ -371,13 +371,13 @@ def with_clocks_named(refusal: Refusal, motions: Sequence[Motion]) -> Refusal:
     )
 
 
-def clock_of(
+def time_axis_of(
     robot: Robot,
     motion: Motion,
     calibration: MotionCalibration | None = None,
     *,
     loaded: bool = False,
-) -> Clock:
+) -> TimeAxis:
     """The clock of one recording.
 
     Args:
@@ -388,7 +388,7 @@ def clock_of(
 
     Raises `RecordingError`: It is too short, or of other joints than the calibration.
     """
-    clock = Clock(1.0, np.inf, 0.0, np.inf)
+    clock = TimeAxis(1.0, np.inf, 0.0, np.inf)
     for _ in range(ROUNDS):
         retimed = _retimed(motion, clock.pace, clock.lag_s)
         step = _step(robot, retimed, calibration, loaded)
@@ -404,12 +404,12 @@ def clock_of(
 
 def _step(
     robot: Robot, motion: Motion, calibration: MotionCalibration | None, loaded: bool
-) -> Clock:
+) -> TimeAxis:
     """How far the clock of a motion is off, to first order in the lag."""
     values, covariance = _solved(robot, motion, calibration, loaded, CLOCK)
     pace, slope = _pace_of(values[0])
     acceleration_std, lag_std_s = np.sqrt(np.diag(covariance)).tolist()
-    return Clock(
+    return TimeAxis(
         pace=pace,
         pace_std=abs(slope) * acceleration_std,
         lag_s=float(values[1]),

@@ -12,7 +12,7 @@ from support.bends.tape import tape_of
 from support.small_bags import CONSTANTS, JOINTS, read, refused
 
 from proprio_ros.errors import RecordingError
-from proprio_ros.recordings.clocks import clock_of
+from proprio_ros.recordings.clock_faults import clock_faults_of
 from proprio_ros.recordings.columns import JointColumns
 from proprio_ros.recordings.runs import cut_runs
 from proprio_ros.records import FloatArray, TimeArray
@@ -81,7 +81,7 @@ def same_pace(found: JointColumns, parts: int) -> bool:
 @pytest.mark.parametrize("by_s", [-3.2, -0.3, 0.3, 3.2, 1000.0, -1000.0])
 def test_a_step_of_header_stamps_is_taken_out_by_the_recorders_clock(by_s: float) -> None:
     bent = columns(TRUE_NS + LATE_NS, stepped(TRUE_NS, by_s))
-    clock = clock_of("/states", bent)
+    clock = clock_faults_of("/states", bent)
     found = clock.mended(bent)
     assert len(found.bag_ns) == COUNT
     assert np.abs(own_s(found) - true_s(found)).max() < 1e-6
@@ -92,7 +92,7 @@ def test_a_step_of_header_stamps_is_taken_out_by_the_recorders_clock(by_s: float
 @pytest.mark.parametrize("by_s", [-3.2, -0.3, 0.3, 3.2, 1000.0, -1000.0])
 def test_header_stamps_count_where_the_recorders_clock_steps(by_s: float) -> None:
     bent = columns(stepped(TRUE_NS + LATE_NS, by_s), TRUE_NS)
-    clock = clock_of("/states", bent)
+    clock = clock_faults_of("/states", bent)
     found = clock.mended(bent)
     assert len(found.bag_ns) == COUNT
     assert np.abs(own_s(found) - true_s(found)).max() < 1e-6
@@ -103,7 +103,7 @@ def test_header_stamps_count_where_the_recorders_clock_steps(by_s: float) -> Non
 def test_two_steps_of_one_clock() -> None:
     twice = stepped(stepped(TRUE_NS, -1.5, 0.3), 4.0, 0.7)
     for bent in (columns(TRUE_NS + LATE_NS, twice), columns(twice + LATE_NS, TRUE_NS)):
-        clock = clock_of("/states", bent)
+        clock = clock_faults_of("/states", bent)
         found = clock.mended(bent)
         assert len(clock.notes) == 2
         assert np.abs(own_s(found) - true_s(found)).max() < 1e-6
@@ -112,7 +112,7 @@ def test_two_steps_of_one_clock() -> None:
 
 def test_commands_without_stamps_are_left_out_where_the_recorders_clock_says_two_things() -> None:
     bent = columns(stepped(TRUE_NS + LATE_NS, -3.2), TRUE_NS)
-    clock = clock_of("/states", bent)
+    clock = clock_faults_of("/states", bent)
     commands_ns = stepped(TRUE_NS, -3.2)
     times = clock.times(commands_ns, np.zeros_like(commands_ns))
     assert np.array_equal(times.bag_ns[times.known], TRUE_NS[times.known])
@@ -130,7 +130,7 @@ def test_where_both_clocks_step_the_recording_is_cut(by_s: float) -> None:
         stepped(TRUE_NS + LATE_NS, by_s),
         stepped(TRUE_NS, by_s),
     )
-    clock = clock_of("/states", bent)
+    clock = clock_faults_of("/states", bent)
     found = clock.mended(bent)
     assert same_pace(found, parts=2)
     # what has the same times twice is left out, and little besides
@@ -160,7 +160,7 @@ def test_messages_of_before_the_clock_was_set_are_left_out() -> None:
     )
     for times_ns in (zero, simulated, tiny):
         bent = columns(times_ns, times_ns)
-        clock = clock_of("/states", bent)
+        clock = clock_faults_of("/states", bent)
         found = clock.mended(bent)
         assert len(found.bag_ns) == COUNT - 200
         assert same_pace(found, parts=1)
@@ -175,14 +175,14 @@ def test_stamps_of_0_before_simulated_time_are_no_simulated_time() -> None:
         simulated,
     )
     bent = columns(TRUE_NS, stamps)
-    clock = clock_of("/states", bent)
+    clock = clock_faults_of("/states", bent)
     assert len(clock.mended(bent).bag_ns) == COUNT - 200
     assert "200 of 3000 messages have no stamp" in clock.notes[0]
 
 
 def test_a_recorder_whose_clock_stood_still_is_named() -> None:
     with refused("all 3000 messages were recorded at 0 s: the recorder's clock stood still"):
-        clock_of(
+        clock_faults_of(
             "/states",
             columns(np.zeros_like(TRUE_NS), np.zeros_like(TRUE_NS)),
         )
@@ -193,7 +193,7 @@ def test_stamps_that_count_messages_give_way_to_the_recorders_clock() -> None:
         TRUE_NS,
         10**9 * np.arange(COUNT, dtype=np.int64),
     )
-    clock = clock_of("/states", bent)
+    clock = clock_faults_of("/states", bent)
     found = clock.mended(bent)
     assert "numbers of messages" in clock.notes[0]
     assert np.array_equal(own_s(found), true_s(found))
@@ -226,7 +226,7 @@ def test_clocks_that_go_on_are_left_alone() -> None:
         ),
     }
     for name, case in cases.items():
-        assert clock_of("/states", case).faults == (), name
+        assert clock_faults_of("/states", case).faults == (), name
 
 
 def test_noise_of_encoders_is_no_second_motion() -> None:
@@ -243,7 +243,7 @@ def test_noise_of_encoders_is_no_second_motion() -> None:
         stamp_ns=gappy,
         values={"position": noisy},
     )
-    assert clock_of("/states", case).faults == ()
+    assert clock_faults_of("/states", case).faults == ()
 
 
 def test_a_second_publisher_in_a_part_of_the_recording_is_no_step() -> None:
@@ -259,7 +259,7 @@ def test_a_second_publisher_in_a_part_of_the_recording_is_no_step() -> None:
         {"position": values[order]},
         [],
     )
-    assert clock_of("/states", mixed).faults == ()
+    assert clock_faults_of("/states", mixed).faults == ()
 
 
 PUSH = BAGS / "realistic_s00_fixed_light_ball_20g_joint3" / "bag_mcap"

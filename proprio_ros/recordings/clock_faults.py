@@ -227,7 +227,7 @@ Fault = Unset | StampsStep | StampsCount | RecorderSteps | Overlap | Leap
 
 
 @dataclass(frozen=True)
-class Clock:
+class ClockFaults:
     """What is wrong with the clocks of a bag, in the order in which it is mended."""
 
     faults: tuple[Fault, ...] = ()
@@ -249,9 +249,9 @@ class Clock:
             bag_ns=times.bag_ns[rows], stamp_ns=times.stamp_ns[rows], values=values
         )
 
-    def then(self, other: Clock) -> Clock:
+    def then(self, other: ClockFaults) -> ClockFaults:
         """What is wrong by both, the other's in times that this one has mended."""
-        return Clock(
+        return ClockFaults(
             (*self.faults, *other.faults),
             (*self.notes, *other.notes),
         )
@@ -277,7 +277,7 @@ class Clock:
         return tuple(cut for cut in cuts if cut is not None)
 
 
-def clock_of(where: str, columns: JointColumns) -> Clock:
+def clock_faults_of(where: str, columns: JointColumns) -> ClockFaults:
     """What is wrong with the clocks, by the joint states.
 
     Args:
@@ -293,12 +293,12 @@ def clock_of(where: str, columns: JointColumns) -> Clock:
             "stood still; was /clock published (use_sim_time)?",
             where,
         )
-    clock = Clock()
+    clock = ClockFaults()
     for fault_of in (_unset, _unstamped, _counted, _step_of_one, _steps_of_both, _steps_of_both):
         found = fault_of(clock.mended(columns))
         if found:
             notes = (f"{where}: {note}" for _, note in found)
-            clock = Clock(
+            clock = ClockFaults(
                 (*clock.faults, *(fault for fault, _ in found)),
                 (*clock.notes, *notes),
             )
@@ -307,7 +307,7 @@ def clock_of(where: str, columns: JointColumns) -> Clock:
 
 def messages_at(
     messages: Sequence[tuple[int, Any]],
-    clock: Clock,
+    clock: ClockFaults,
 ) -> list[tuple[int, Any]]:
     """Messages without a stamp at when they were recorded, as far as that is known [ns]."""
     recorded_ns = np.array(

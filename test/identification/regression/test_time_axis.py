@@ -13,19 +13,19 @@ from support.machines import REAL
 
 from proprio_ros.calibration_files.motions import MotionCalibration
 from proprio_ros.identification.estimate import Estimate, Verdict
-from proprio_ros.identification.regression.clocks import (
-    LAG_OF_GOALS_S,
-    OFF_BEFORE,
-    PACE_SPREAD,
-    Clock,
-    clock_of,
-    likeliest,
-    with_clocks,
-)
 from proprio_ros.identification.regression.motion_equations import Problem, equations, own_terms
 from proprio_ros.identification.regression.motion_estimate import calibrate_motions
 from proprio_ros.identification.regression.motion_fit import fit_empty
 from proprio_ros.identification.regression.recording_variability import CLOCK
+from proprio_ros.identification.regression.time_axis import (
+    LAG_OF_GOALS_S,
+    OFF_BEFORE,
+    PACE_SPREAD,
+    TimeAxis,
+    likeliest,
+    time_axis_of,
+    with_time_axes,
+)
 from proprio_ros.inputs.forms import FormError
 from proprio_ros.pipeline.loading import bag_motion
 from proprio_ros.pipeline.request import Options, request_of
@@ -171,9 +171,9 @@ def test_torque_follows_the_lag_as_a_difference_quotient_says(twin: Pair, lag_s:
 
 
 def test_a_clock_that_keeps_time_is_left_alone(twin: Pair) -> None:
-    (empty,) = with_clocks(twin.robot, [twin.empty])
+    (empty,) = with_time_axes(twin.robot, [twin.empty])
     calibration = fit_empty(twin.robot, [empty])
-    (loaded,) = with_clocks(
+    (loaded,) = with_time_axes(
         twin.robot,
         [twin.loaded],
         calibration,
@@ -190,7 +190,7 @@ def test_a_clock_that_keeps_time_is_left_alone(twin: Pair) -> None:
 @pytest.mark.parametrize("pace", [0.5, 0.75, 1.37, 2.0])
 def test_the_pace_of_a_clock_is_found_and_followed(twin: Pair, pace: float) -> None:
     wrong = at_pace(twin.empty, pace)
-    clock = clock_of(twin.robot, wrong)
+    clock = time_axis_of(twin.robot, wrong)
     assert abs(np.log(clock.pace / pace)) < 3.0 * np.hypot(clock.pace_std, 0.03)
     loaded = at_pace(twin.loaded, pace)
     both = identify_in_motion(
@@ -237,8 +237,8 @@ def test_a_clock_that_leaves_too_little_is_uncertain_and_not_followed(twin: Pair
     six_s = int(np.searchsorted(twin.loaded.times_s, 6.0))
     motion = at_pace(twin.loaded.part(slice(0, six_s)), 0.45)
     calibration = fit_empty(twin.robot, [twin.empty])
-    assert clock_of(twin.robot, motion, calibration, loaded=True).runs_off
-    (found,) = with_clocks(twin.robot, [motion], calibration, loaded=True)
+    assert time_axis_of(twin.robot, motion, calibration, loaded=True).runs_off
+    (found,) = with_time_axes(twin.robot, [motion], calibration, loaded=True)
     np.testing.assert_array_equal(found.times_s, motion.times_s)
     assert not found.clock_off
     assert found.pace_std > 0.3
@@ -247,11 +247,11 @@ def test_a_clock_that_leaves_too_little_is_uncertain_and_not_followed(twin: Pair
 
 
 def test_what_is_far_from_its_misfit_runs_off() -> None:
-    assert Clock(0.73, 0.01, 0.0, 1e-3).runs_off
-    assert not Clock(0.97, 0.01, 0.0, 1e-3).runs_off
-    assert not Clock(0.73, 0.2, 0.0, 1e-3).runs_off
-    assert Clock(1.0, 0.01, 0.1, 1e-3).is_late
-    assert not Clock(1.0, 0.01, 0.013, 1e-3).is_late
+    assert TimeAxis(0.73, 0.01, 0.0, 1e-3).runs_off
+    assert not TimeAxis(0.97, 0.01, 0.0, 1e-3).runs_off
+    assert not TimeAxis(0.73, 0.2, 0.0, 1e-3).runs_off
+    assert TimeAxis(1.0, 0.01, 0.1, 1e-3).is_late
+    assert not TimeAxis(1.0, 0.01, 0.013, 1e-3).is_late
 
 
 class ByVoltage(NamedTuple):
@@ -273,8 +273,8 @@ def by_voltage(tmp_path_factory: pytest.TempPathFactory) -> ByVoltage:
 
 def test_goals_that_act_late_are_no_clock_that_runs_off(by_voltage: ByVoltage) -> None:
     calibration = by_voltage.robot.motion_calibration
-    assert calibration is not None and calibration.read_clock is not None
-    (followed,) = with_clocks(by_voltage.robot, [by_voltage.loaded], calibration, loaded=True)
+    assert calibration is not None and calibration.read_time_axis is not None
+    (followed,) = with_time_axes(by_voltage.robot, [by_voltage.loaded], calibration, loaded=True)
     assert followed.times_s is by_voltage.loaded.times_s
     assert followed.notes == by_voltage.loaded.notes
     assert followed.pace_std < 0.005
@@ -343,26 +343,26 @@ def test_a_calibration_of_goals_without_a_clock_leaves_stamps_alone(by_voltage: 
     """As files of an earlier release."""
     known = by_voltage.robot.motion_calibration
     assert known is not None
-    section = replace(known, read_clock=None).as_settings()
-    assert "read_clock" not in section
+    section = replace(known, read_time_axis=None).as_settings()
+    assert "read_time_axis" not in section
     before = MotionCalibration.from_settings(section)
     wrong = at_pace(by_voltage.loaded, 1.4)
-    (followed,) = with_clocks(by_voltage.robot, [wrong], before, loaded=True)
+    (followed,) = with_time_axes(by_voltage.robot, [wrong], before, loaded=True)
     assert followed is wrong
 
 
 def test_a_clock_that_was_read_is_read_again(by_voltage: ByVoltage) -> None:
     known = by_voltage.robot.motion_calibration
     assert known is not None
-    assert known.read_clock is not None
+    assert known.read_time_axis is not None
     section = known.as_settings()
-    read = MotionCalibration.from_settings(section).read_clock
+    read = MotionCalibration.from_settings(section).read_time_axis
     assert read is not None
-    np.testing.assert_allclose(read.values, known.read_clock.values, rtol=1e-8)
-    np.testing.assert_allclose(read.covariance, known.read_clock.covariance, rtol=1e-8)
+    np.testing.assert_allclose(read.values, known.read_time_axis.values, rtol=1e-8)
+    np.testing.assert_allclose(read.covariance, known.read_time_axis.covariance, rtol=1e-8)
     for rows, words in (("1.0", "three rows"), ("0.1 0.0\n1.0 2.0\n2.0 1.0", "no covariance")):
         with pytest.raises(FormError, match=words):
-            MotionCalibration.from_settings({**section, "read_clock": rows})
+            MotionCalibration.from_settings({**section, "read_time_axis": rows})
 
 
 @pytest.mark.skipif(not REAL.is_dir(), reason="needs recordings of real machines")
