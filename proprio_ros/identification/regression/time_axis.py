@@ -16,6 +16,7 @@ there a pace counts beside the one that the calibration's own recordings read.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -303,10 +304,13 @@ def with_read_time_axis(
     information = np.zeros((2, 2))
     pull = np.zeros(2)
     for motion in motions:
-        read = read_time_axis(robot, motion, calibration)
-        weight = np.linalg.inv(read.covariance)
-        information += weight
-        pull += weight @ read.values
+        with suppress(RecordingError):  # too short to say anything of its clock
+            read = read_time_axis(robot, motion, calibration)
+            weight = np.linalg.inv(read.covariance)
+            information += weight
+            pull += weight @ read.values
+    if not information.any():
+        return calibration
     covariance = np.linalg.inv(information)
     symmetric = 0.5 * (covariance + covariance.T)
     return replace(calibration, read_time_axis=ReadTimeAxis(covariance @ pull, symmetric))
