@@ -405,21 +405,18 @@ class ContentsProblem(Problem):
             unknowns = dict(zip(names, guesses[:, columns].T, strict=True))
             return inside_terms(self.model, self.container, unknowns)
 
-        by_rigid = []
-        by_moving = []
-        for column in columns:
-            shifted = values.astype(complex)
-            shifted[:, column] += 1j * COMPLEX_STEP
-            rigid, moving = terms(shifted)
-            by_rigid.append(rigid.imag / COMPLEX_STEP)
-            by_moving.append(moving.imag / COMPLEX_STEP)
+        # a step along each column, all in one call
+        stepped = np.tile(values.astype(complex), (len(columns), 1, 1))  # (C, S, N)
+        for n, column in enumerate(columns):
+            stepped[n, :, column] += 1j * COMPLEX_STEP
+        by_rigid, by_moving = terms(np.concatenate(stepped))
         rigid, moving = terms(values)
         return InsideTerms(
             rigid,
             moving,
             np.array(columns),
-            np.array(by_rigid),
-            np.array(by_moving),
+            by_rigid.imag.reshape(len(columns), *rigid.shape) / COMPLEX_STEP,
+            by_moving.imag.reshape(len(columns), *moving.shape) / COMPLEX_STEP,
         )
 
     def payload_in(self, row: int, payload: InertialTerms) -> InertialTerms:

@@ -216,12 +216,13 @@ def slosh_law(directions: int, stribeck: bool) -> Law:
         db = db / (p[w, INERTIA] + inertia)
         k = (along - b * over) / wide
         dk = (d_along - b * d_over - over * db - k * d_wide) / wide
-        return VEC4(v, b, s, k), wp.matrix_from_rows(
-            dy[1],
-            db,
-            dy[3],
-            dk,
-        )
+        # row by row: what `matrix_from_rows` makes the compiler leaves in memory from 19 columns on, at twice the time
+        change = mat()
+        change[0] = dy[1]
+        change[1] = db
+        change[2] = dy[3]
+        change[3] = dk
+        return VEC4(v, b, s, k), change
 
     @wp.func
     def moved(
