@@ -390,20 +390,27 @@ def arm_and_payload(robot: Robot, model: ReducedModel, facts: PayloadFacts) -> n
 
 @dataclass(frozen=True)
 class _Body:
-    """A body's homogeneous transform over time with its derivatives, shape (T, 4, 4) each, or (4, 4) where it does not move."""
+    """A body's homogeneous transform over time with its derivatives, shape (T, 4, 4) each."""
 
     place: np.ndarray
     speed: np.ndarray
     rate: np.ndarray  # second derivative
-    varied: np.ndarray  # derivative by the joint whose torque is sought
+    # derivative by the joint whose torque is sought; None: that joint does not move it
+    varied: np.ndarray | None
 
-
-_GROUND = _Body(
-    np.eye(4),
-    np.zeros((4, 4)),
-    np.zeros((4, 4)),
-    np.zeros((4, 4)),
-)
+    def on(self, parent: _Body) -> _Body:
+        """What stands so on a parent, as seen from where the parent is seen from."""
+        varied = None
+        if self.varied is not None:
+            varied = parent.place @ self.varied
+        elif parent.varied is not None:
+            varied = parent.varied @ self.place
+        return _Body(
+            parent.place @ self.place,
+            parent.speed @ self.place + parent.place @ self.speed,
+            parent.rate @ self.place + 2.0 * (parent.speed @ self.speed) + parent.place @ self.rate,
+            varied,
+        )
 
 
 def joint_torque(
@@ -441,14 +448,12 @@ def joint_torque(
         first = v[:, None, None] * by_q
         turning = (v**2)[:, None, None] * (by_q @ generator)
         second = a[:, None, None] * by_q + turning
-        parent = bodies[int(model.parents[n])] if model.parents[n] >= 0 else _GROUND
-        body = _Body(
-            parent.place @ local,
-            parent.speed @ local + parent.place @ first,
-            parent.rate @ local + 2.0 * (parent.speed @ first) + parent.place @ second,
-            parent.varied @ local + (parent.place @ by_q if n == joint else 0.0),
-        )
+        body = _Body(local, first, second, by_q if n == joint else None)
+        if model.parents[n] >= 0:
+            body = body.on(bodies[int(model.parents[n])])
         bodies.append(body)
+        if body.varied is None:
+            continue
         work = body.varied.swapaxes(1, 2) @ (body.rate - gravity)
         work = work.reshape(-1, 16)
         torque += work @ inertias[:, n].reshape(-1, 16).T
