@@ -35,6 +35,9 @@ import refusals_page
 import settings_page
 from connections import Connection, Reader
 
+from proprio_ros.excitation.effort_controller import EffortController
+from proprio_ros.excitation.goal_controller import GoalController
+
 PAGES = Path(__file__).resolve().parent / "pages"
 NOTE = "<!-- written by docs/generate.py from the code: change that instead -->"
 NODES = {
@@ -43,7 +46,7 @@ NODES = {
     "identifier": "IdentifierNode",
     "virtual": "VirtualNode",
 }
-PARTS: dict[str, tuple[tuple[str, dict[str, str]], ...]] = {
+PARTS: dict[str, tuple[tuple[str, dict[str, Any]], ...]] = {
     "identifier": (
         ("results:Results.__init__", {}),
         ("carrying:Carrying.__init__", {}),
@@ -54,11 +57,18 @@ PARTS: dict[str, tuple[tuple[str, dict[str, str]], ...]] = {
         ("excitation_client:Excitation.__init__", {}),
     ),
     "excitation": (
-        ("excitation:ExcitationNode._controller_output", {"interface": "effort"}),
-        ("excitation:ExcitationNode._controller_output", {"interface": "position"}),
+        (
+            "excitation:ExcitationNode._controller_output",
+            {"interface": "effort", "controller": EffortController},
+        ),
+        (
+            "excitation:ExcitationNode._controller_output",
+            {"interface": "position", "controller": GoalController},
+        ),
     ),
 }
-"""What makes connections beside a node's `configure`: a module of nodes, a class and its method, and arguments of it."""
+"""What makes connections beside a node's `configure`: a module of nodes, a class and its method, arguments of it and
+what it computes."""
 ROS = ("rclpy", "rcl_interfaces", "builtin_interfaces", "diagnostic_msgs", "geometry_msgs", "sensor_msgs", "std_msgs",
        "std_srvs", "visualization_msgs")  # fmt: skip
 
