@@ -61,6 +61,8 @@ TORQUE_BETWEEN = 0.05
 """And where they are not: what friction under a load that nobody knows makes of it."""
 LAG_OF_GOALS_S = 0.01
 """By how much goals act later or earlier than they did, where they do: some of the 10 to 35 ms that they take."""
+LATEST_GOALS_S = 0.02
+"""Goals that act later or earlier by more are not followed: of 25 ms two are missed, and masses are 2 standard deviations off."""
 LAG_MISFIT_S = 0.01
 """And a lag: a cycle of a driver of 100 Hz; the same recordings read 10 to 14 ms."""
 OFF_BEFORE = 0.1
@@ -173,6 +175,8 @@ def _followed_by_voltage(
         covariance = covariance + doubt * np.outer(found, found)
     pace = float(np.exp(found[0]))
     lag_s = float(found[1])
+    if abs(lag_s) > LATEST_GOALS_S:
+        return motion  # other goals than the servos heard: what is unexplained then names that
     pace_std, lag_std_s = np.sqrt(np.diag(covariance)).tolist()
     notes = []
     if pace != 1.0:

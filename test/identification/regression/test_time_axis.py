@@ -309,6 +309,15 @@ def test_goals_that_act_later_than_they_did_are_followed(
     assert high - low < by_voltage.payload_kg
 
 
+@pytest.mark.parametrize("lag_s", [0.04, -0.04])
+def test_goals_that_act_much_later_are_other_goals(by_voltage: ByVoltage, lag_s: float) -> None:
+    answer = identify_in_motion(
+        by_voltage.robot, [later(by_voltage.loaded, lag_s)], [], PayloadFacts()
+    )
+    assert answer.verdict is Verdict.REJECTED
+    assert not [note for note in answer.notes if "its goals acted" in note]
+
+
 @pytest.mark.parametrize("share", [0.88, 1.12])
 def test_torque_that_differs_is_not_mistaken_for_a_clock(
     by_voltage: ByVoltage, share: float
