@@ -623,7 +623,9 @@ class ArmDriver:
             for name, angle in before.items()
         }
         # joints arrive one after the other: between two poses that are high enough the arm may come too low
-        if self._height(ahead) < self._least_height_m(self._height(before)):
+        height_m = self._height(before)
+        self._note_height(height_m)
+        if self._height(ahead) < self._least_height_m(height_m):
             words = "the arm was about to come too near to the base's plane (min_clearance); it stays where it is"
             self._log("warning", words)
             for joint in held:
@@ -632,14 +634,13 @@ class ArmDriver:
         for joint in held:
             joint.goal_rad += min(max(ways[joint.name], -step), step)
 
-    def _least_height_m(self, height_m: float) -> float:
-        """Of goals [m]; those of an arm that is too low may dip a little on their way up, since not every way only rises.
-
-        Args:
-            height_m: Of the present goals [m].
-        """
-        lowered = height_m < self._reached_m - DIP_M  # by a fall or a push: no goal leads there
+    def _note_height(self, height_m: float) -> None:
+        """How high the goals have come; anew where a fall or a push has lowered the arm: no goal leads there."""
+        lowered = height_m < self._reached_m - DIP_M
         self._reached_m = height_m if lowered else max(height_m, self._reached_m)
+
+    def _least_height_m(self, height_m: float) -> float:
+        """Of the next goals [m], by that of the present ones; an arm that is too low may dip a little on its way up."""
         least_m = self.settings.min_clearance_m
         if height_m >= least_m:
             return least_m

@@ -20,7 +20,7 @@ It is the section ``motion_calibration`` of a robot file that ``extends`` the ro
       scale_of_load: |                                           # of the torque scale, where a known load told it: its correlations
         0.3                                                      # with the unknowns, and its own deviations, each in one line
         0.1
-      read_time_axis: |                                              # of arms that a voltage drives, see `ReadTimeAxis`
+      read_time_axis: |                                          # of arms that a voltage drives, see `ReadTimeAxis`
         0.05 -0.007
         1e-4 -1e-5
         -1e-5 1e-6
@@ -241,14 +241,14 @@ class MotionCalibration:
             "correlation": triangle_of(self.covariance / std[:, None] / std),
             "deviations": lines_of(self.deviations / std, 9),
         }
-        self._add_what_not_all_have(section, std)
+        self._add_optional(section, std)
         return section
 
-    def _add_what_not_all_have(self, section: dict[str, Any], std: FloatArray) -> None:
-        """To plain numbers for the file; ``std``: of the terms, (P,)."""
-        clock = self.read_time_axis
-        if clock is not None:
-            section["read_time_axis"] = lines_of([clock.values, *clock.covariance], 9)
+    def _add_optional(self, section: dict[str, Any], std: FloatArray) -> None:
+        """What not every calibration has, as plain numbers; ``std``: of the terms, (P,)."""
+        axis = self.read_time_axis
+        if axis is not None:
+            section["read_time_axis"] = lines_of([axis.values, *axis.covariance], 9)
         scale = self.scale_of_load
         if scale is not None:
             of_scale = self.torque_scale_std

@@ -15,9 +15,10 @@ there a pace counts beside the one that the calibration's own recordings read.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -55,6 +56,8 @@ PACE_BETWEEN = 0.008
 """From recording to recording of one arm that a voltage drives: 28 recordings of seven simulated arms differ by 0.006."""
 LAG_BETWEEN_S = 5e-4
 """The same of the lag, which differs by no more than it is known to."""
+BETWEEN = np.diag([PACE_BETWEEN**2, LAG_BETWEEN_S**2])
+"""Covariance of what differs so, as `ReadTimeAxis` has it."""
 TORQUE_SPREAD = 0.1
 """By how much torques are larger than they were, where they are: of another supply voltage, or another gain."""
 TORQUE_BETWEEN = 0.05
@@ -143,12 +146,23 @@ def _followed(
         lag_s = clock.lag_s
         lag_std_s = float(np.hypot(clock.lag_std_s, LAG_MISFIT_S))
         notes.append(_lag_followed(motion, lag_s))
+    return _corrected(motion, TimeAxis(pace, pace_std, lag_s, lag_std_s), notes)
+
+
+def _corrected(motion: Motion, clock: TimeAxis, notes: Sequence[Reason]) -> Motion:
+    """The motion by a clock that is followed.
+
+    Args:
+        motion: As it was stamped.
+        clock: What its time axis is taken to be, and how well that is known.
+        notes: What is said of it.
+    """
     return replace(
-        _retimed(motion, pace, lag_s),
+        _retimed(motion, clock.pace, clock.lag_s),
         notes=(*motion.notes, *notes),
         clock_off=tuple(notes),
-        pace_std=pace_std,
-        lag_std_s=lag_std_s,
+        pace_std=clock.pace_std,
+        lag_std_s=clock.lag_std_s,
     )
 
 
@@ -170,13 +184,13 @@ def _followed_by_voltage(
         read.values - usual.values,
         read.covariance + usual.covariance,
     )
-    if found.any():
-        doubt = _as_likely_by_torque(robot, motion, calibration, found)
-        covariance = covariance + doubt * np.outer(found, found)
     pace = float(np.exp(found[0]))
     lag_s = float(found[1])
     if abs(lag_s) > LATEST_GOALS_S:
         return motion  # other goals than the servos heard: what is unexplained then names that
+    if found.any():
+        doubt = _as_likely_by_torque(robot, motion, calibration, usual, found)
+        covariance = covariance + doubt * np.outer(found, found)
     pace_std, lag_std_s = np.sqrt(np.diag(covariance)).tolist()
     notes = []
     if pace != 1.0:
@@ -185,13 +199,7 @@ def _followed_by_voltage(
         notes.append(_pace_followed(motion, pace, pace_std))
     if lag_s != 0.0:
         notes.append(_goals_followed(motion, lag_s))
-    return replace(
-        _retimed(motion, pace, lag_s),
-        notes=(*motion.notes, *notes),
-        clock_off=tuple(notes),
-        pace_std=pace_std,
-        lag_std_s=lag_std_s,
-    )
+    return _corrected(motion, TimeAxis(pace, pace_std, lag_s, lag_std_s), notes)
 
 
 def likeliest(off: FloatArray, covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -235,6 +243,7 @@ def _as_likely_by_torque(
     robot: Robot,
     motion: Motion,
     calibration: MotionCalibration,
+    usual: ReadTimeAxis,
     found: FloatArray,
 ) -> float:
     """How likely it is that not the clock is off but the torque, which another supply voltage or another gain makes.
@@ -243,13 +252,13 @@ def _as_likely_by_torque(
         robot: As its file states it.
         motion: The recording.
         calibration: Of the arm.
+        usual: What its own recordings read.
         found: What would be off of the clock, see `likeliest`, (2,).
     """
-    assert calibration.read_time_axis is not None
-    usual = calibration.read_time_axis
     values, covariance = _read(robot, motion, calibration, (*CLOCK, "common_scale"))
     off = values - np.append(usual.values, 0.0)
-    covariance = covariance + np.diag([PACE_BETWEEN**2, LAG_BETWEEN_S**2, TORQUE_BETWEEN**2])
+    covariance[:2, :2] += BETWEEN
+    covariance[2, 2] += TORQUE_BETWEEN**2
     covariance[:2, :2] += usual.covariance
     by_clock = np.append(np.where(found, [PACE_SPREAD, LAG_OF_GOALS_S], 0.0), 0.0)
     by_torque = np.array([0.0, 0.0, TORQUE_SPREAD])
@@ -270,27 +279,18 @@ def read_time_axis(robot: Robot, motion: Motion, calibration: MotionCalibration)
     Raises `RecordingError`: It is too short, or of other joints than the calibration.
     """
     values, covariance = _read(robot, motion, calibration, CLOCK)
-    return ReadTimeAxis(values, covariance + np.diag([PACE_BETWEEN**2, LAG_BETWEEN_S**2]))
+    return ReadTimeAxis(values, covariance + BETWEEN)
 
 
 def _read(
     robot: Robot, motion: Motion, calibration: MotionCalibration, kinds: Sequence[str]
 ) -> tuple[FloatArray, FloatArray]:
     """What is off in a motion by kind, logarithm of pace and lag [s] first, and its covariance, (K,) and (K, K)."""
-    pace = 1.0
-    lag_s = 0.0
-    for _ in range(ROUNDS):
-        retimed = _retimed(motion, pace, lag_s)
-        values, covariance = _solved(robot, retimed, calibration, True, kinds)
-        step_pace, slope = _pace_of(values[0])
-        lag_s += pace * values[1]
-        pace *= step_pace
-        if abs(np.log(step_pace)) < SETTLED_PACE and abs(values[1]) < SETTLED_S:
-            break
+    *_, last = _steps(robot, motion, calibration, True, kinds)
     slopes = np.ones(len(kinds))
-    slopes[0] = slope
-    read = np.array([np.log(pace), lag_s, *values[2:]])
-    return read, covariance * slopes[:, None] * slopes
+    slopes[0] = last.slope
+    read = np.array([np.log(last.pace), last.lag_s, *last.others])
+    return read, last.covariance * slopes[:, None] * slopes
 
 
 def with_read_time_axis(
@@ -397,32 +397,57 @@ def time_axis_of(
     Raises `RecordingError`: It is too short, or of other joints than the calibration.
     """
     clock = TimeAxis(1.0, np.inf, 0.0, np.inf)
-    for _ in range(ROUNDS):
-        retimed = _retimed(motion, clock.pace, clock.lag_s)
-        step = _step(robot, retimed, calibration, loaded)
-        clock = replace(
-            step, pace=clock.pace * step.pace, lag_s=clock.lag_s + clock.pace * step.lag_s
+    for step in _steps(robot, motion, calibration, loaded, CLOCK):
+        acceleration_std, lag_std_s = np.sqrt(np.diag(step.covariance)).tolist()
+        clock = TimeAxis(
+            pace=step.pace,
+            pace_std=abs(step.slope) * acceleration_std,
+            lag_s=step.lag_s,
+            lag_std_s=lag_std_s,
         )
-        if abs(np.log(step.pace)) < SETTLED_PACE and abs(step.lag_s) < SETTLED_S:
-            break
         if not (clock.runs_off or clock.is_late):
             break
     return clock
 
 
-def _step(
-    robot: Robot, motion: Motion, calibration: MotionCalibration | None, loaded: bool
-) -> TimeAxis:
-    """How far the clock of a motion is off, to first order in the lag."""
-    values, covariance = _solved(robot, motion, calibration, loaded, CLOCK)
-    pace, slope = _pace_of(values[0])
-    acceleration_std, lag_std_s = np.sqrt(np.diag(covariance)).tolist()
-    return TimeAxis(
-        pace=pace,
-        pace_std=abs(slope) * acceleration_std,
-        lag_s=float(values[1]),
-        lag_std_s=lag_std_s,
-    )
+class _Step(NamedTuple):
+    """What a clock is found to be after a step towards it."""
+
+    pace: float
+    lag_s: float
+    slope: float  # of the logarithm of pace, by the accelerations' relative error
+    others: FloatArray  # what else is off, by kind
+    covariance: FloatArray  # of the accelerations' relative error, lag [s] and the others
+
+
+def _steps(
+    robot: Robot,
+    motion: Motion,
+    calibration: MotionCalibration | None,
+    loaded: bool,
+    kinds: Sequence[str],
+) -> Iterator[_Step]:
+    """Steps to first order in the lag, until nothing moves (Gauss-Newton).
+
+    Args:
+        robot: As its file states it.
+        motion: The recording.
+        calibration: What is known of the arm.
+        loaded: Whether the hand holds something that nobody knows.
+        kinds: Of what is looked for, pace and lag first.
+    """
+    pace = 1.0
+    lag_s = 0.0
+    for _ in range(ROUNDS):
+        retimed = _retimed(motion, pace, lag_s)
+        values, covariance = _solved(robot, retimed, calibration, loaded, kinds)
+        step_pace, slope = _pace_of(values[0])
+        step_lag_s = float(values[1])
+        lag_s += pace * step_lag_s
+        pace *= step_pace
+        yield _Step(pace, lag_s, slope, values[2:], covariance)
+        if abs(np.log(step_pace)) < SETTLED_PACE and abs(step_lag_s) < SETTLED_S:
+            return
 
 
 def _pace_of(acceleration: float) -> tuple[float, float]:
