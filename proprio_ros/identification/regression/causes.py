@@ -147,8 +147,8 @@ def with_cause(
     motions: Sequence[Motion],
     empty: Sequence[Motion] = (),
     unexplained: float = 0.0,
-) -> Refusal:
-    """The verdict on a fit, with the mistake that explains what is wrong; its mass is withheld then.
+) -> Refusal | None:
+    """The rejection of a fit for the mistake that explains what is wrong, its mass withheld; None where no mistake is found.
 
     Args:
         refusal: What was found so far, which may be nothing.
@@ -160,7 +160,7 @@ def with_cause(
     """
     accepted = refusal.verdict is Verdict.ACCEPTED
     if accepted and unexplained < SUSPECT:
-        return refusal
+        return None
     found = one_mistake(robot, motions, empty, BEYOND_DOUBT if accepted else SURE)
     if found is not None and (found.of_positions or not accepted):
         cause = Reason(
@@ -173,7 +173,7 @@ def with_cause(
             refusal, cause, "the motions are explained otherwise than they were recorded"
         )
     if accepted:
-        return refusal
+        return None
     everything = (*motions, *empty)
     for motion in everything:
         mistake = torque_cause(robot, motion)
@@ -185,7 +185,7 @@ def with_cause(
             code = getattr(refusal.reasons[0], "code", "other")
         reason = Reason(code, f"{motion.name}: {mistake.sentence(others)}")
         return _rejected_for(refusal, reason, "the arm does not fit its URDF")
-    return refusal
+    return None
 
 
 def one_mistake(

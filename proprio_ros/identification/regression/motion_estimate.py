@@ -119,8 +119,10 @@ def _refusal(
     """The verdict on an arm that was learnt of motions whose clocks were followed, with its cause."""
     refused = judge(calibration_refusals(robot, followed, calibration))
     share = float(np.nan_to_num(_unexplained(followed, calibration)).max())
-    refusal = with_cause(refused, robot, (), as_stamped, share)
-    return with_time_axes_named(refusal, followed) if refusal is refused else refusal
+    by_mistake = with_cause(refused, robot, (), as_stamped, share)
+    if by_mistake is not None:
+        return by_mistake
+    return with_time_axes_named(refused, followed)
 
 
 def _would_be_too_wide(weighable: Weighable) -> Refusal:

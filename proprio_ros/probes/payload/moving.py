@@ -264,7 +264,7 @@ def _identified(
         )
     )
     as_stamped = (motions, baseline)
-    refusal, weighing = _with_what_is_wrong(refusal, robot, weighing, as_stamped, fit, trends)
+    refusal, weighing = _with_what_explains_it(refusal, robot, weighing, as_stamped, fit, trends)
     mass = positive(
         "payload_mass",
         "kg",
@@ -308,7 +308,7 @@ def _of_an_unknown_arm(robot: Robot, motions: Sequence[Motion]) -> Estimate:
         "the same motion with an empty hand and add it with --baseline, or calibrate with it (`proprio calibrate`)",
     )
     # what the recording contradicts would stand in the way of an empty hand's, too
-    unknown = with_cause(unknown, robot, motions)
+    unknown = with_cause(unknown, robot, motions) or unknown
     nothing = [positive("payload_mass", "kg", 0.0, 0.0, unknown.withheld)]
     assumptions = _assumptions(robot, motions, None, None)
     return motion_answer(
@@ -316,7 +316,7 @@ def _of_an_unknown_arm(robot: Robot, motions: Sequence[Motion]) -> Estimate:
     )
 
 
-def _with_what_is_wrong(
+def _with_what_explains_it(
     refusal: Refusal,
     robot: Robot,
     weighing: _Weighing,
@@ -324,9 +324,10 @@ def _with_what_is_wrong(
     fit: MotionFit,
     trends: Sequence[Trend],
 ) -> tuple[Refusal, _Weighing]:
-    """The refusal with the first cause that is found for it, and the motions that it speaks of.
+    """The refusal with the first explanation that is found for it, and the motions that it speaks of.
 
     In this order: each motion by itself, what makes torques different or clocks run off, a trend, a payload that sits elsewhere.
+    What looks for one returns the refusal with it, or None where it finds none.
 
     Args:
         refusal: Of all motions together; an accepted answer stays as it is.
@@ -342,19 +343,23 @@ def _with_what_is_wrong(
         # all is explained but for goals that were late, which would be taken for something else here
         return refusal, weighing
     search = partial(weighing.fitted, robot, stated=False)
-    named = _each_by_itself(refusal, motions, search, known)
-    if named is not refusal:
-        return named, weighing
+    apart = _each_by_itself(refusal, motions, search, known)
+    if apart is not None:
+        return apart, weighing
     unexplained = float(np.nan_to_num(fit.unexplained).max())
-    named = with_cause(refusal, robot, *as_stamped, unexplained)
-    if named is not refusal:
+    by_mistake = with_cause(refusal, robot, *as_stamped, unexplained)
+    if by_mistake is not None:
         # what explains the torques by their stamps bent the clock, too
-        return named, replace(weighing, motions=as_stamped[0], baseline=as_stamped[1])
+        stamped, empty_stamped = as_stamped
+        return by_mistake, replace(weighing, motions=stamped, baseline=empty_stamped)
     refusal = with_time_axes_named(refusal, (*motions, *weighing.baseline))
-    named = _with_trend(refusal, motions, trends)
-    if named is refusal and weighing.centre is not None:
-        named = _elsewhere(refusal, motions, weighing.centre, fit, search(motions), known)
-    return named, weighing
+    by_trend = _with_trend(refusal, motions, trends)
+    if by_trend is not None:
+        return by_trend, weighing
+    if weighing.centre is not None:
+        elsewhere = _elsewhere(refusal, motions, weighing.centre, fit, search(motions), known)
+        return elsewhere or refusal, weighing
+    return refusal, weighing
 
 
 def _without_trends(
@@ -403,15 +408,15 @@ def _with_trend(
     refusal: Refusal,
     motions: Sequence[Motion],
     trends: Sequence[Trend],
-) -> Refusal:
-    """The refusal of a fit that does not explain its motions, with what changed along one of these."""
+) -> Refusal | None:
+    """The refusal of a fit that does not explain its motions, with what changed along one of these; None where nothing did."""
     if refusal.verdict is not Verdict.REJECTED:
-        return refusal
+        return None
     for motion, trend in zip(motions, trends, strict=True):
         if trend.is_clear:
             reason = Reason("changed_along", f"{motion.name}: {trend.words()}")
             return replace(refusal, reasons=(reason, *refusal.reasons))
-    return refusal
+    return None
 
 
 def _each_by_itself(
@@ -419,8 +424,8 @@ def _each_by_itself(
     motions: Sequence[Motion],
     fitted: Callable[[Sequence[Motion]], MotionFit],
     known: str,
-) -> Refusal:
-    """The refusal of several motions together, with what each says alone, where that is explained.
+) -> Refusal | None:
+    """The refusal of several motions together, with what each says alone; None where that is not explained.
 
     Args:
         refusal: Of all together.
@@ -429,23 +434,23 @@ def _each_by_itself(
         known: What the arm is known by.
     """
     if len(motions) < 2 or refusal.verdict is not Verdict.REJECTED:
-        return refusal
+        return None
     try:
         alone = [fitted([motion]) for motion in motions]
         return _apart(refusal, motions, alone, known)
     except RecordingError:  # one is too short by itself
-        return refusal
+        return None
 
 
 def _apart(
     refusal: Refusal, motions: Sequence[Motion], alone: Sequence[MotionFit], known: str
-) -> Refusal:
-    """The refusal, with what each motion says ``alone``, where each is explained by itself."""
+) -> Refusal | None:
+    """The refusal, with what each motion says ``alone``; None where one is not explained by itself."""
     if any(
         judge(_refusals([motion], fit, known)) is not ACCEPTED
         for motion, fit in zip(motions, alone, strict=True)
     ):
-        return refusal
+        return None
     places = [_place(fit)[0].value for fit in alone]
     told = ", ".join(
         f"{motion.name} {shown('kg', float(fit.values[0]), spec='.0f')} at [{', '.join(f'{x:.3f}' for x in place)}] m"
@@ -466,24 +471,24 @@ def _elsewhere(
     fit: MotionFit,
     free: MotionFit,
     known: str,
-) -> Refusal:
-    """The refusal, with what a fit that looks for the payload's centre says of the one that was stated, where that explains all."""
+) -> Refusal | None:
+    """The refusal, with what a fit that looks for the payload's centre says of the stated one; None where it explains no more."""
     place = _place(free)[0].value
     if (
         not isinstance(place, list)
         or None in place
         or judge(_refusals(motions, free, known)) is not ACCEPTED
     ):
-        return refusal
+        return None
     name = motions[0].name
-    found = refusals.elsewhere(
-        motions[0].name,
-        stated[0],
-        np.asarray(place),
-    )
-    if refusal.verdict is not Verdict.REJECTED:
-        found = next(refusals.centre_elsewhere(name, stated, fit, free), refusal)
-    return found if found is refusal else replace(found, reasons=(*found.reasons, *refusal.reasons))
+    found: Refusal | None
+    if refusal.verdict is Verdict.REJECTED:
+        found = refusals.elsewhere(name, stated[0], np.asarray(place))
+    else:
+        found = next(refusals.centre_elsewhere(name, stated, fit, free), None)
+    if found is None:
+        return None
+    return replace(found, reasons=(*found.reasons, *refusal.reasons))
 
 
 def drift(mass: float, std: float) -> Iterator[Refusal]:
