@@ -255,20 +255,24 @@ class Conclusion:
         )
 
     def compare_runs(self) -> None:
-        """Look for a run that says another value than the others; nearly the same one widens the interval by half of that."""
+        """Look for a run that says another value than the others: `outlier` and `comparison` are that run, where there is one."""
         if len(self.runs) < 2 or not np.isfinite(self.fit.chi2) or not self.comparable():
             return
         self.outlier = self.unlike_others()
         if self.outlier is not None:
             self.comparison = self.compared_with_others(self.outlier)
-            if not self.comparison.contradicts:
-                self.assessed.widen(self.comparison.extra_std)
+
+    def widen_by_comparison(self) -> None:
+        """Count half of what a run and the others differ by, where that is too little for a contradiction."""
+        if self.comparison is not None:
+            self.assessed.widen(self.comparison.extra_std)
 
     def estimate(self) -> Estimate:
         """The answer: widened by what the probe is unsure of, by what runs say differently, and by what was guessed."""
         assessed = self.assessed
         self.widen()
         self.compare_runs()
+        self.widen_by_comparison()
         self.guesses = self.guess() if np.isfinite(self.fit.chi2) else []
         for guess in self.guesses:
             self.count(guess.std, guess.source)

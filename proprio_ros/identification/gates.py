@@ -57,7 +57,8 @@ class RunComparison:
 
     sentence: str  # both; empty where they say the same
     contradicts: bool = True  # else they differ by so little that the answer covers both
-    extra_std: float = 0.0  # half of the difference, by which the interval is then widened, in the unit of the value
+    # half of the difference, by which the interval is then widened, in the unit of the value; zero where they contradict each other
+    extra_std: float = 0.0
 
 
 def compare_run(

@@ -241,8 +241,8 @@ class Squeezed(Conclusion):
     check = "check block.size and the robot file"
     beside = "a gripper or a block"
 
-    def compare_runs(self) -> None:
-        super().compare_runs()
+    def widen_by_comparison(self) -> None:
+        super().widen_by_comparison()
         # friction is not the same in each run: what that makes of the modulus counts as noise of the readings
         self.budget = self.assessed.budget()
         self.measured_std = self.assessed.std
