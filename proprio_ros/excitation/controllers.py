@@ -1,9 +1,8 @@
 """What takes the commands of an excitation at somebody else's driver, as `ros2_control` has it: efforts, or goals.
 
 Such a controller takes numbers without names for all its joints in a fixed order, ignores a list of another length, and keeps the
-last one for ever. So every command here is whole. `Controller` says what each of them must have; `EffortController` and
-`GoalController` are the two that there are. `nodes.outputs.controller_of` chooses by ``command_interface``, one of
-`nodes.tables.INPUT_TOPICS`. No clock, no ROS.
+last one for ever. So every command here is whole. `Controller` says what each of them must have; those that there are stand in
+`controller_kinds`. No clock, no ROS.
 """
 
 from __future__ import annotations
@@ -12,12 +11,15 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from proprio_ros.errors import ConfigurationError, ExcitationError
 from proprio_ros.excitation.commands import Command
 from proprio_ros.excitation.plans import ExcitationSequence
 from proprio_ros.robot import Robot
+
+if TYPE_CHECKING:
+    from typing_extensions import Self
 
 FASTEST_RAD_S = 6.0  # an arm that others move, too
 
@@ -50,7 +52,13 @@ class Controller(ABC):
         ConfigurationError: No joint, or a joint that the robot does not drive or that is named twice.
     """
 
-    kind: ClassVar[str]  # what it takes, in words
+    kind: ClassVar[str]  # what it takes in a word, which is its name in `command_interface`
+    about: ClassVar[str]  # what it is, as that parameter is described
+    commanded: ClassVar[str]  # what is sent, with its unit
+    usual_topic: ClassVar[str]  # where such controllers listen
+    announced: ClassVar[str]  # what goes to the topic in braces, and what that means for the arm
+    beside: ClassVar[str]  # what whoever stands beside the arm should do
+    falls_unheard: ClassVar[bool] = False  # whether an arm comes down that hears no more
     without: ClassVar[str] = ""  # what is wrong with a joint that the robot does not drive
     # field of a JointState in which a recording has what pushes, or what is sent, and the topic of that
     recorded_as: ClassVar[str]
@@ -71,6 +79,19 @@ class Controller(ABC):
         }
         self._position: dict[str, float] = {}
         self._time_s: dict[str, float] = {}
+
+    @classmethod
+    @abstractmethod
+    def of_parameters(cls, robot: Robot, values: Mapping[str, Any]) -> Self:
+        """As the excitation node's parameters state it.
+
+        Args:
+            robot: The arm.
+            values: Of the parameters, by name.
+
+        Raises:
+            ConfigurationError: They do not fit the robot.
+        """
 
     def _check_joints(self, robot: Robot, joints: Sequence[str]) -> None:
         driven = ", ".join(robot.drive_trains)

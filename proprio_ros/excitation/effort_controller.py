@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
 
 from proprio_ros.errors import ConfigurationError, ExcitationError
 from proprio_ros.excitation.commands import Command
@@ -10,6 +11,9 @@ from proprio_ros.excitation.controllers import Controller, Move
 from proprio_ros.excitation.hold import LONGEST_WAIT_S, SLOWEST_HZ, Hold, HoldGains
 from proprio_ros.excitation.plans import ExcitationSequence
 from proprio_ros.robot import Robot
+
+if TYPE_CHECKING:
+    from typing_extensions import Self
 
 BRISK_RAD_S = 15.0  # a hold as stiff as this follows as fast as a sequence says
 NUDGING_PACE = 0.1  # while the arm is asked for its delay
@@ -31,6 +35,12 @@ class EffortController(Controller):
     """
 
     kind = "effort"
+    about = "an effort controller of ros2_control, which this node then has hold the arm"
+    commanded = "efforts in `effort_unit`"
+    usual_topic = "/forward_effort_controller/commands"
+    announced = "efforts go to {topic}; this node alone holds the arm then"
+    beside = "keep a hand near the emergency stop"
+    falls_unheard = True
     without = ", and nobody could hold it"
     recorded_as = "effort"
     recorded_on = "applied_effort"
@@ -55,6 +65,15 @@ class EffortController(Controller):
         self._per_unit = dict.fromkeys(self.joints, 1.0)
         if unit == "A":
             self._per_unit = {name: self._effort_per_A[name] for name in self.joints}
+
+    @classmethod
+    def of_parameters(cls, robot: Robot, values: Mapping[str, Any]) -> Self:
+        gains = HoldGains(
+            values["hold_frequency"],
+            jump_rad=values["max_jump"],
+            max_velocity_rad_s=values["max_velocity"],
+        )
+        return cls(robot, values["controller_joints"], values["effort_unit"], gains)
 
     @property
     def lost(self) -> str:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
 
 from proprio_ros.errors import ExcitationError
 from proprio_ros.excitation.commands import Command
@@ -18,6 +19,9 @@ from proprio_ros.excitation.springs import springs_of
 from proprio_ros.robot import Robot
 from proprio_ros.robot.kinematics import zero_pose
 from proprio_ros.robot.loads import Loads
+
+if TYPE_CHECKING:
+    from typing_extensions import Self
 
 SUM_S = 0.4  # time in which the slow sum gives as much as is missing
 SLACK_RAD = 0.02
@@ -38,6 +42,11 @@ class GoalController(Controller):
     """
 
     kind = "position"
+    about = "a position controller, for servos that know no current"
+    commanded = "goals [rad, m]"
+    usual_topic = "/position_controller/commands"
+    announced = "goals go to {topic}"
+    beside = "keep a hand near the servos' supply"
     recorded_as = "position"
     recorded_on = "joint_command"
     let_go = "no more goals are sent: the servos hold the arm at the last ones until their driver turns torque off"
@@ -57,6 +66,10 @@ class GoalController(Controller):
         self._held_kg = 0.0
         self._rests_since_s = math.inf
         self._sent: dict[str, float] = {}
+
+    @classmethod
+    def of_parameters(cls, robot: Robot, values: Mapping[str, Any]) -> Self:
+        return cls(robot, values["controller_joints"], values["max_jump"])
 
     @property
     def lost(self) -> str:

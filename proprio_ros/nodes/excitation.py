@@ -19,6 +19,7 @@ from std_srvs.srv import Trigger
 from proprio_ros import clock
 from proprio_ros.errors import ConfigurationError, ProprioError
 from proprio_ros.excitation.commands import Command, JointSample, JointStates
+from proprio_ros.excitation.controller_kinds import CONTROLLER_KINDS
 from proprio_ros.excitation.guards import Guards
 from proprio_ros.excitation.machine import ExcitationMachine, Phase
 from proprio_ros.excitation.plans import load_sequence
@@ -64,8 +65,13 @@ class ExcitationNode(ManagedNode):
 
     @property
     def real_time(self) -> bool:
-        # behind this package's driver, and behind a position controller, the arm stays where it is without this node
-        return bool(self.values["real_time"]) and self.values["command_interface"] == "effort"
+        return bool(self.values["real_time"]) and self._falls_unheard
+
+    @property
+    def _falls_unheard(self) -> bool:
+        """Whether the arm comes down without this node; this package's driver holds it where it is."""
+        kind = CONTROLLER_KINDS.get(self.values["command_interface"])
+        return kind is not None and kind.falls_unheard
 
     @property
     def pause_s(self) -> float:
@@ -91,11 +97,12 @@ class ExcitationNode(ManagedNode):
         interface = self.values["command_interface"]
         ours = interface == "driver"
         if ours and self.values["controller_manager"]:
+            kinds = " or ".join(CONTROLLER_KINDS)
             raise ConfigurationError(
-                "controller_manager is for command_interface:=effort or position: leave it out"
+                f"controller_manager is for command_interface:={kinds}: leave it out"
             )
         guards = Guards(**fields_stated(Guards, self.values))
-        if interface == "effort":
+        if self._falls_unheard:
             guards = replace(guards, patience_s=BLIND_PATIENCE * guards.stale_after_s)
         self._machine = ExcitationMachine(self._robot, guards)
         self._joint_states = JointStates(self._machine.joints, self.values["stale_after"])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from proprio_ros.excitation.controller_kinds import CONTROLLER_KINDS
 from proprio_ros.live.job import REFRESH, WEIGH
 from proprio_ros.live.job import ROBOT as ROBOT_JOB
 from proprio_ros.nodes.tables import INPUT_TOPICS
@@ -96,7 +97,8 @@ _OTHERS = {
         "Makes sequences of excitations: joint states in, current and position commands out.",
         (
             *("/current_command", "/position_command", "/excitation/status"),
-            *("/applied_effort", "/joint_command", *INPUT_TOPICS.values()),
+            *(f"/{each.recorded_on}" for each in CONTROLLER_KINDS.values()),
+            *INPUT_TOPICS.values(),
         ),
         ("/joint_states", "/applied_effort", "/torque_enabled", "/driver/status", "/excitation/lease"),
         ("/excitation/run", "/excitation/abort", "/excitation/release"),
@@ -117,9 +119,10 @@ ABOUT = {
     "/diagnostics": "bus, servos, late cycles, left-out samples; once a second, and at once when the driver's state changes",
     "/current_command": "currents [A], in the order of `joints`, or of the labels in `layout.dim`; one publisher at a time, and a "
     "zero lets go of a joint only after a push",
-    "/forward_effort_controller/commands": "with an effort controller, instead of those above: efforts in `effort_unit`, in the "
-    "order of `controller_joints`",
-    "/position_controller/commands": "with a position controller: goals [rad, m], likewise",
+    **{
+        each.usual_topic: f"where `command_interface` is {kind}: {each.commanded}, in the order of `controller_joints`"
+        for kind, each in CONTROLLER_KINDS.items()
+    },
     "/joint_command": "with a position controller: the goals that were sent [rad, m], by name; the identifier records them where "
     "the robot file says that servos follow goals",
     "/battery_state": "supply voltage, where voltages drive the motors",

@@ -16,12 +16,10 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
 from proprio_ros import clock
-from proprio_ros.errors import ConfigurationError, ExcitationError
+from proprio_ros.errors import ExcitationError
 from proprio_ros.excitation.commands import Command
+from proprio_ros.excitation.controller_kinds import CONTROLLER_KINDS
 from proprio_ros.excitation.controllers import Controller
-from proprio_ros.excitation.effort_controller import EffortController
-from proprio_ros.excitation.goal_controller import GoalController
-from proprio_ros.excitation.hold import HoldGains
 from proprio_ros.excitation.plans import ExcitationSequence
 from proprio_ros.excitation.remote_clock import RemoteClock
 from proprio_ros.nodes import messages
@@ -48,28 +46,12 @@ def controller_of(node: ManagedNode, robot: Robot, topic: str) -> Controller:
         ConfigurationError: The parameters do not fit the robot.
     """
     values = node.values
-    joints = values["controller_joints"]
-    jump_rad = values["max_jump"]
     switches = "this node switches no controllers: activate that one first, and "
     if values["controller_manager"]:
         switches = ""
-    controller: Controller
-    if values["command_interface"] == "effort":
-        gains = HoldGains(
-            values["hold_frequency"], jump_rad=jump_rad, max_velocity_rad_s=values["max_velocity"]
-        )
-        controller = EffortController(robot, joints, values["effort_unit"], gains)
-        goes = f"efforts go to {topic}; this node alone holds the arm then"
-        beside = "keep a hand near the emergency stop"
-    elif values["command_interface"] == "position":
-        controller = GoalController(robot, joints, jump_rad)
-        goes = f"goals go to {topic}"
-        beside = "keep a hand near the servos' supply"
-    else:
-        raise ConfigurationError(
-            f"no controller for the command interface {values['command_interface']!r}"
-        )
-    node.say("warning", f"{goes}; {switches}{beside} (docs: hardware and safety)")
+    controller = CONTROLLER_KINDS[values["command_interface"]].of_parameters(robot, values)
+    goes = controller.announced.format(topic=topic)
+    node.say("warning", f"{goes}; {switches}{controller.beside} (docs: hardware and safety)")
     return controller
 
 

@@ -14,6 +14,7 @@ from typing import Any
 
 from proprio_ros.bus.driver import DriverSettings
 from proprio_ros.errors import ConfigurationError
+from proprio_ros.excitation.controller_kinds import CONTROLLER_KINDS
 from proprio_ros.excitation.effort_controller import UNITS
 from proprio_ros.excitation.guards import Guards
 from proprio_ros.excitation.hold import HoldGains
@@ -23,15 +24,14 @@ from proprio_ros.probes.base import HasBaseline, Probe
 from proprio_ros.quantity import EFFORTS, unit_called
 from proprio_ros.recordings.effort import EFFORT_UNITS
 
-INPUT_TOPICS = {
-    "effort": "/forward_effort_controller/commands",
-    "position": "/position_controller/commands",
-}
+INPUT_TOPICS = {name: controller.usual_topic for name, controller in CONTROLLER_KINDS.items()}
 """Where controllers of others usually listen."""
 CONTROLLERS = {f"{kind}_controller": topic for kind, topic in INPUT_TOPICS.items()}
 """What may drive the virtual arm instead of the servo bus, and where it listens."""
 COMMANDED = ("driver", *INPUT_TOPICS)
-"""What takes the commands: this package's driver, or an effort or position controller."""
+"""What takes the commands: this package's driver, or a controller of somebody else's."""
+_USUAL_TOPICS = " or ".join(INPUT_TOPICS.values())
+_KINDS = "; ".join(f"{name}: {controller.about}" for name, controller in CONTROLLER_KINDS.items())
 DEFAULT_LINK = str(Path(tempfile.gettempdir()) / "proprio_virtual")
 DEFAULT_PROBE = "payload"
 ENDS = ("hold", "zero")
@@ -251,14 +251,13 @@ EXCITATION = (
     Parameter(
         "command_interface",
         "driver",
-        "What takes the commands. driver: this package's; effort: an effort controller of ros2_control, which this node "
-        "then has hold the arm; position: a position controller, for servos that know no current.",
+        f"What takes the commands. driver: this package's; {_KINDS}.",
         choices=COMMANDED,
     ),
     Parameter(
         "input_topic",
         "",
-        "Where that controller listens; empty: /forward_effort_controller/commands or /position_controller/commands.",
+        f"Where that controller listens; empty: {_USUAL_TOPICS}.",
     ),
     Parameter("controller_joints", [], "That controller's `joints`, in its order."),
     Parameter(
@@ -473,7 +472,7 @@ VIRTUAL = (
     Parameter(
         "input_topic",
         "",
-        "Of the controller; empty: /forward_effort_controller/commands or /position_controller/commands.",
+        f"Of the controller; empty: {_USUAL_TOPICS}.",
     ),
     Parameter("controller_joints", [], "Of the controller, in its order; empty: the robot file's."),
     Parameter(

@@ -25,7 +25,7 @@ from proprio_ros.nodes.services import Answer, LongService, call, when_there
 from proprio_ros.nodes.tables import CONTROLLERS, VIRTUAL
 from proprio_ros.probes import virtual_object
 from proprio_ros.recordings.description import robot_named
-from proprio_ros.virtual.effort_driver import EffortDriver, PositionDriver
+from proprio_ros.virtual.effort_driver import DRIVERS, EffortDriver
 from proprio_ros.virtual.model import import_mujoco
 from proprio_ros.virtual.objects import Payload
 from proprio_ros.virtual.robot import VirtualRobot
@@ -115,19 +115,8 @@ class VirtualNode(ManagedNode):
             )
             where = self.values["link"]
         else:
-            joints = self.values["controller_joints"]
-            if self.values["interface"] == "position_controller":
-                self._robot = PositionDriver(
-                    self._model,
-                    self._truth,
-                    joints=joints,
-                    seed=seed,
-                )
-            else:
-                unit = self.values["effort_unit"]
-                self._robot = EffortDriver(
-                    self._model, self._truth, joints=joints, unit=unit, seed=seed
-                )
+            driver = DRIVERS[self.values["interface"]]
+            self._robot = driver.of_parameters(self._model, self._truth, self.values, seed)
             where = f"{self._commands.topic_name} for {', '.join(self._robot.joints)}"
             # a thread: an executor's wake-ups at every period and command would take a core
             self._thread = clock.thread(

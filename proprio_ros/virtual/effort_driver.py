@@ -89,6 +89,21 @@ class EffortDriver:
         self._time_s: float | None = None
         self.broadcast = tuple(sorted([*self.arm.joints, *FOREIGN_JOINTS]))
 
+    @classmethod
+    def of_parameters(
+        cls, robot: Robot, truth: Truth, values: Mapping[str, Any], seed: int
+    ) -> EffortDriver:
+        """As the virtual node's parameters state it.
+
+        Args:
+            robot: As its file states it.
+            truth: What it is really like.
+            values: Of the parameters, by name.
+            seed: Of the noise.
+        """
+        joints = values["controller_joints"]
+        return cls(robot, truth, joints=joints, unit=values["effort_unit"], seed=seed)
+
     def command(self, now_s: float, efforts: Sequence[float]) -> bool:
         """Take a command; whether it has one finite effort for each of the controller's joints."""
         if len(efforts) != len(self.joints) or not all(map(math.isfinite, efforts)):
@@ -218,6 +233,12 @@ class PositionDriver(EffortDriver):
         self._begun = self.arm.encoder_rad() * self._transmission
         self._moved = self._begun.copy()
 
+    @classmethod
+    def of_parameters(
+        cls, robot: Robot, truth: Truth, values: Mapping[str, Any], seed: int
+    ) -> EffortDriver:
+        return cls(robot, truth, joints=values["controller_joints"], seed=seed)
+
     def _uncommanded(self) -> FloatArray:
         return self._begun.copy()
 
@@ -235,3 +256,10 @@ class PositionDriver(EffortDriver):
         return (
             self._supply_V * duty - self._back_emf * self.arm.velocity_rad_s()
         ) / self._resistance_ohm
+
+
+DRIVERS: dict[str, type[EffortDriver]] = {
+    "effort_controller": EffortDriver,
+    "position_controller": PositionDriver,
+}
+"""What may drive the virtual arm instead of the servo bus, by the virtual node's `interface`."""
