@@ -28,10 +28,10 @@ from proprio_ros.excitation.guards import (
     Guards,
     check_free_response,
     check_start,
-    check_step,
     free_swing,
     unfit,
 )
+from proprio_ros.excitation.pushes import push_of
 from proprio_ros.excitation.ways import Way, Ways
 from proprio_ros.robot import Robot
 
@@ -248,15 +248,9 @@ class ExcitationMachine:
             expected_s.append((way.duration_s, sequence.settle_s, run.duration_s, sequence.brake_s))
             before = after
             words = f"{sequence.name}: {words}"
-            if run.goal_step:
-                check_step(
-                    run,
-                    after,
-                    sequence,
-                    self.ways,
-                    self.guards,
-                    words,
-                )
+            push = push_of(run)
+            if push is not None:
+                push.check(after, sequence, self.ways, self.guards, words)
             if run.is_free_response:
                 words = f"{words} cannot swing freely"
                 check_free_response(
@@ -498,8 +492,9 @@ class ExcitationMachine:
             return (
                 "is the hand empty, and the base level? let it swing from nearer to where it hangs"
             )
-        if self._run.goal_step:
-            return "use a smaller goal_step, less time, or another start"
+        push = push_of(self._run)
+        if push is not None:
+            return push.less
         if velocity * self._current_A < 0.0:
             return "its load pulls it there against the current; use more current, or another start"
         return "use less current, less time, or a smaller max_travel"
@@ -557,8 +552,9 @@ class ExcitationMachine:
         run = self._run
         if run.is_free_response:
             return "swings freely"
-        if run.goal_step:
-            return f"is pushed by a goal {run.goal_step:+.3g} {self._unit} away"
+        push = push_of(run)
+        if push is not None:
+            return push.named(self._unit)
         shake = f" +-{abs(run.shake_A):.3g}" if run.shake_A != 0.0 else ""
         unit = plans.push_unit(self.robot, run.joint)
         return f"is pushed with {self._current_A:+.3g}{shake} {unit}"
@@ -735,8 +731,9 @@ class ExcitationMachine:
         run = self._run
         joint = run.joint
         held = {name: goal for name, goal in self._goals.items() if name != joint}
-        if run.goal_step:
-            return Command(held, stepped={joint: self._goals[joint] + run.goal_step})
+        push = push_of(run)
+        if push is not None:
+            return push.command(held, self._goals[joint])
         if run.is_free_response:
             swinging = self.phase is Phase.PROBE
             return Command(held, {joint: self._let_go_A() if swinging else self._catching_A()})
@@ -781,7 +778,8 @@ class ExcitationMachine:
         poor = [str(number) for number in range(1, self.runs + 1) if number not in good]
         if not poor:
             return f"{self.sequence.name} is done: all {self.runs} runs are good"
-        more = "a larger goal_step" if self._run.goal_step else "more current"
+        push = push_of(self._run)
+        more = "more current" if push is None else push.more
         words = (
             f"run {', '.join(poor)} moved too little: allow {more}, or start where gravity helps"
         )
