@@ -37,6 +37,7 @@ from proprio_ros.recordings.for_robot import motors_notes
 from proprio_ros.recordings.messages import RawMessage
 from proprio_ros.recordings.runs import cut_runs
 from proprio_ros.recordings.sources import BagSource
+from proprio_ros.recordings.topics import APPLIED_EFFORT, CURRENT_COMMAND
 from proprio_ros.recordings.writer import write_messages
 from proprio_ros.records import InputRecord, JointRecord, Recording, Run
 from proprio_ros.sim.joint import compile_kernels
@@ -516,7 +517,7 @@ class LiveEstimate:
         driven = {name for name, column in zip(drives, current.T, strict=True) if column.any()}
         try:
             record = self._joint_record(states, driven)
-            topic = "/applied_effort" if applied else "/current_command"
+            topic = f"/{APPLIED_EFFORT if applied else CURRENT_COMMAND}"
             times_ns = np.array([time_ns for time_ns, _ in inputs])
             source = InputRecord(times_ns, drives, current, topic)
             held = standing(self._request, record.names)

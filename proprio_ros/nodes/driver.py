@@ -24,7 +24,7 @@ from proprio_ros.nodes.process import run_node
 from proprio_ros.nodes.qos import FROM_MANY, LATCHED, STREAM
 from proprio_ros.nodes.tables import DRIVER, fields_stated
 from proprio_ros.recordings.description import robot_named
-from proprio_ros.recordings.topics import TEMPERATURES
+from proprio_ros.recordings.topics import APPLIED_EFFORT, CURRENT_COMMAND, TEMPERATURES
 
 LATE_S = 0.005  # a cycle that begins later than this is reported in the diagnostics
 # the system's clock has been set when it moved by more than this within a second
@@ -80,7 +80,7 @@ class DriverNode(ManagedNode):
         self.diagnosed = f"{self.get_namespace()}/driver".lstrip("/")
         self._hardware_id = f"{robot.name} on {values['port']}"
         self._states = self.create_publisher(JointState, "joint_states", STREAM)
-        self._effort = self.create_publisher(JointState, "applied_effort", STREAM)
+        self._effort = self.create_publisher(JointState, APPLIED_EFFORT, STREAM)
         self._current = self.create_publisher(Float64MultiArray, "applied_current", STREAM)
         self._torque = self.create_publisher(Bool, "torque_enabled", LATCHED)
         self._told_limp: bool | None = None
@@ -89,10 +89,10 @@ class DriverNode(ManagedNode):
         self._published_motors = {}  # a new publisher has said nothing yet
         self._motors = self.create_publisher(DiagnosticStatus, "motors", LATCHED)
         self._temperatures = self.create_publisher(Float64MultiArray, TEMPERATURES, LATCHED)
-        self._senders = {"current_command": Senders(), "position_command": Senders()}
+        self._senders = {CURRENT_COMMAND: Senders(), "position_command": Senders()}
         self._system = StampClock()
         self._set = (0.0, 0)
-        self.create_subscription(Float64MultiArray, "current_command", self._on_current, FROM_MANY)
+        self.create_subscription(Float64MultiArray, CURRENT_COMMAND, self._on_current, FROM_MANY)
         self.create_subscription(
             Float64MultiArray, "position_command", self._on_position, FROM_MANY
         )
@@ -188,9 +188,11 @@ class DriverNode(ManagedNode):
     # each logs for itself, since a place in the code is throttled, not a sentence
 
     def _on_current(self, message: Float64MultiArray, info: dict[str, Any]) -> None:
-        reason = self._obey(message, info, "current_command", ArmDriver.command_currents)
+        reason = self._obey(message, info, CURRENT_COMMAND, ArmDriver.command_currents)
         if reason:
-            self.get_logger().error(f"current_command refused: {reason}", throttle_duration_sec=1.0)
+            self.get_logger().error(
+                f"{CURRENT_COMMAND} refused: {reason}", throttle_duration_sec=1.0
+            )
 
     def _on_position(self, message: Float64MultiArray, info: dict[str, Any]) -> None:
         reason = self._obey(message, info, "position_command", ArmDriver.command_positions)

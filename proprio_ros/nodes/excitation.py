@@ -34,6 +34,7 @@ from proprio_ros.nodes.services import LongService
 from proprio_ros.nodes.switching import SwitchedRuns, switching_of
 from proprio_ros.nodes.tables import DEFAULT_PROBE, EXCITATION, INPUT_TOPICS, fields_stated
 from proprio_ros.recordings.description import robot_named
+from proprio_ros.recordings.topics import APPLIED_EFFORT, CURRENT_COMMAND
 
 # at rest, too: who missed the last word of a sequence waits for the next
 STATUS_PERIOD_S = 0.1
@@ -111,7 +112,7 @@ class ExcitationNode(ManagedNode):
         self.add_on_set_parameters_callback(self._on_parameters)
         self._output: Output
         if ours:
-            currents = self.create_publisher(Float64MultiArray, "current_command", COMMANDS)
+            currents = self.create_publisher(Float64MultiArray, CURRENT_COMMAND, COMMANDS)
             self._output = DriverOutput(
                 currents, self.create_publisher(Float64MultiArray, "position_command", COMMANDS)
             )
@@ -126,7 +127,7 @@ class ExcitationNode(ManagedNode):
             together=lambda: not (ours and self._machine.busy),
         )
         if ours:  # else this node says itself what it commands
-            self.listen(JointState, "applied_effort", self._on_applied_effort, COMMANDS)
+            self.listen(JointState, APPLIED_EFFORT, self._on_applied_effort, COMMANDS)
         self.create_subscription(Bool, "~/lease", self._on_lease, COMMANDS)
         self.create_subscription(Bool, "torque_enabled", self._on_torque_enabled, LATCHED)
         self.create_subscription(DiagnosticStatus, "driver/status", self._on_driver, LATCHED)

@@ -23,7 +23,9 @@ from proprio_ros.nodes.qos import LATCHED, STREAM
 from proprio_ros.pipeline.request import usable_driver
 from proprio_ros.recordings.messages import RawMessage
 from proprio_ros.recordings.topics import (
+    APPLIED_EFFORT,
     BATTERY_STATE,
+    CURRENT_COMMAND,
     JOINT_COMMAND,
     JOINT_STATE,
     OUR_DRIVER,
@@ -102,7 +104,7 @@ class Inputs:
         }
         for option, usual in (
             ("state_topic", self.conventions.states),
-            ("command_topic", "applied_effort"),
+            ("command_topic", APPLIED_EFFORT),
         ):
             full = self._node.resolve_topic_name(values[option] or usual)
             topics[option] = full if values[option] or not full.endswith(f"/{usual}") else None
@@ -124,9 +126,9 @@ class Inputs:
         states = self._node.values["state_topic"] or self.conventions.states
         for role, topic, kind in (
             ("joint_states", states, JointState),
-            ("applied_effort", "applied_effort", JointState),
+            ("applied_effort", APPLIED_EFFORT, JointState),
             ("applied_current", "applied_current", Float64MultiArray),
-            ("current_command", "current_command", Float64MultiArray),
+            ("current_command", CURRENT_COMMAND, Float64MultiArray),
         ):
             self._node.listen(
                 kind,
@@ -398,8 +400,8 @@ class Inputs:
     def missing(self) -> str:
         """Why a recording would not say what drove the joints, or an empty string."""
         node = self._node
-        effort = node.resolve_topic_name("applied_effort")
-        command = node.resolve_topic_name("current_command")
+        effort = node.resolve_topic_name(APPLIED_EFFORT)
+        command = node.resolve_topic_name(CURRENT_COMMAND)
         if self.by_goals:
             if node.count_publishers(self.by_goals):
                 return ""

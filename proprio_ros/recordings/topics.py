@@ -19,6 +19,8 @@ STRING = "std_msgs/msg/String"
 BATTERY = "sensor_msgs/msg/BatteryState"
 POINT = "geometry_msgs/msg/PointStamped"
 FLOAT_ARRAYS = ("std_msgs/msg/Float64MultiArray", "std_msgs/msg/Float32MultiArray")
+APPLIED_EFFORT = "applied_effort"  # topic of what is commanded of the joints, as an effort
+CURRENT_COMMAND = "current_command"  # topic of the currents that the driver takes
 TORQUE_ENABLED = "torque_enabled"  # topic that says whether the motors' torque is on
 TEMPERATURES = "motor_temperatures"  # topic of how warm each motor is
 JOINT_COMMAND, BATTERY_STATE = "joint_command", "battery_state"
@@ -50,8 +52,8 @@ class Conventions:
     states: str = "joint_states"  # topic of the joint states, without a namespace
     # topics of what drives the joints, without a namespace; the first that a bag has is taken
     inputs: tuple[InputTopic, ...] = (
-        InputTopic("applied_effort", JOINT_STATE, "N.m"),
-        InputTopic("current_command", FLOAT_ARRAYS[0], "A"),
+        InputTopic(APPLIED_EFFORT, JOINT_STATE, "N.m"),
+        InputTopic(CURRENT_COMMAND, FLOAT_ARRAYS[0], "A"),
     )
     prefix: str = ""  # before the names of this robot's joints; it is taken off
     # the robot's names by those that the driver uses, once the prefix is off
@@ -95,6 +97,11 @@ class Topic(NamedTuple):
     @property
     def namespace(self) -> str:
         return self.name.rpartition("/")[0]
+
+    @property
+    def base_name(self) -> str:
+        """Its name without the namespace."""
+        return self.name.rpartition("/")[2]
 
 
 def listed(topics: Sequence[Topic]) -> str:
@@ -208,11 +215,10 @@ class Topics:
                 f"no joint states on {conventions.states}, where --driver {conventions.driver} has them; choose with "
                 f"--state-topic from: {listed(filled)}"
             )
+        inputs = [each.topic for each in conventions.inputs if each.msgtype == JOINT_STATE]
         commands = (command_name, f"/{command_name}")
         others = [
-            each
-            for each in filled
-            if not each.name.endswith("/applied_effort") and each.name not in commands
+            each for each in filled if each.base_name not in inputs and each.name not in commands
         ]
         candidates = candidates or others
         if len(candidates) != 1:
