@@ -337,7 +337,10 @@ class Inputs:
         return Moment(1e-9 * self.stamp_ns, self.temperatures_C())
 
     def temperatures_C(self) -> dict[str, float]:
-        """How warm the motors are, as far as their driver says it, by joint."""
+        """How warm the motors are, as far as their driver says it, by joint.
+
+        Nothing of a driver that is gone: what it said last is still here, and may be of hours ago.
+        """
         if not self._temperatures or not self._node.count_publishers(self._temperatures_topic):
             return {}
         found = messages.by_joint(deserialize_message(self._temperatures, Float64MultiArray), ())

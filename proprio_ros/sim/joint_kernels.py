@@ -24,8 +24,10 @@ PARAMETERS = (
     "stribeck",
     "stribeck_velocity",
 )
-"""Rows of a parameter vector, SI: kg m^2, N m (three), N m/A, N m, N m s/rad, 1, s, rad, rad/s, kg, 1, rad/s (kg, N, m for a
-slide)."""
+"""Rows of a parameter vector, which `joint.INDEX` has by name.
+
+SI: kg m^2, N m (three), N m/A, N m, N m s/rad, 1, s, rad, rad/s, kg, 1, rad/s (kg, N, m for a slide).
+"""
 (
     INERTIA, GRAVITY_COS, GRAVITY_SIN, GRAVITY_CONSTANT, TORQUE_CONSTANT, COULOMB, VISCOUS, LOAD_FRICTION, DELAY, Q0, V0, CARRIED,
     STRIBECK, STRIBECK_VELOCITY,

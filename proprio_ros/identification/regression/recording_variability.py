@@ -282,7 +282,7 @@ def likely(
 
     Returns: Shape (F,), sum 1; and the probability that recordings agree.
     """
-    prior = _half_cauchy(factors).prod(axis=1)
+    prior = _prior_weights(factors).prod(axis=1)
     known = log_evidence + np.tile(before + np.zeros(len(FACTORS)), len(FACTORS))
     highest = max(float(known.max()), 0.0)
     weights: FloatArray = prior / prior.sum() * np.exp(known - highest)
@@ -299,7 +299,7 @@ def by_own_spread(log_likelihood: FloatArray) -> FloatArray:
         log_likelihood: By each of `PAIRS`, shape (F,).
     """
     highest = float(log_likelihood.max())
-    common = _half_cauchy(np.array(FACTORS))
+    common = _prior_weights(np.array(FACTORS))
     likelihood = np.exp(log_likelihood - highest).reshape(len(FACTORS), -1)
     mean = common @ likelihood / common.sum()
     # a spread that is out of the question may be less likely than any number says
@@ -307,8 +307,8 @@ def by_own_spread(log_likelihood: FloatArray) -> FloatArray:
     return result
 
 
-def _half_cauchy(factors: FloatArray) -> FloatArray:
-    """Prior of spreads times the steps of the grid, of the shape of the factors."""
+def _prior_weights(factors: FloatArray) -> FloatArray:
+    """Half-Cauchy prior of spreads times the steps of the grid, of the shape of the factors."""
     steps = np.gradient(np.array(FACTORS))[np.searchsorted(FACTORS, factors)]
     result: FloatArray = steps * half_cauchy(factors)
     return result
