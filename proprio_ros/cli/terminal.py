@@ -12,7 +12,7 @@ import re
 import shutil
 import sys
 import textwrap
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -175,23 +175,7 @@ def calibration_as_text(estimate: Any) -> str:
     lines += [f"  - {reason}" for reason in estimate.reasons]
     if estimate.empty_hand is not None:
         lines.append(f"  empty hand: {estimate.empty_hand.sentence()}")
-    of_runs = estimate.motion is None  # a motion's are some hundred, and none has a meaning alone
-    source = "before" if "refreshed" in estimate.origin else "file"
-    listed = [
-        row for row in estimate.unknowns if of_runs and not row.is_detail and row.kind != "zero"
-    ]
-    for row in listed:
-        unit = "" if row.unit == "1" else " " + row.unit
-        before = f"({source}: {row.prior:.5f} +- {row.prior_std:.5f})"
-        lines.append(f"  {row.name:34s} {row.value:9.5f} +- {row.std:.5f}{unit}   {before}")
-    more = len(estimate.unknowns) - len(listed)
-    if more:
-        what = (
-            "more: zeros, encoder errors and links"
-            if of_runs
-            else "numbers of bodies, rotors and friction"
-        )
-        lines.append(f"  {'and ' * of_runs}{more} {what} (see --json, --report)")
+    lines += _unknowns_as_lines(estimate)
     if estimate.fit is not None:
         lines.append(_fit_text(estimate.fit))
     for each in estimate.weighed_empty:
@@ -205,6 +189,24 @@ def calibration_as_text(estimate: Any) -> str:
     lines += [f"  next run: {plan_as_text(plan)}" for plan in estimate.advice]
     lines += [f"  note: {note}" for note in together(estimate.notes)]
     return "\n".join(lines)
+
+
+def _unknowns_as_lines(estimate: Any) -> Iterator[str]:
+    """What is known of the robot after a calibration, beside what was known before."""
+    if estimate.motion is not None:  # some hundred, and none has a meaning alone
+        count = len(estimate.unknowns)
+        if count:
+            yield f"  {count} numbers of bodies, rotors and friction (see --json, --report)"
+        return
+    source = "before" if "refreshed" in estimate.origin else "file"
+    listed = [row for row in estimate.unknowns if not row.is_detail and row.kind != "zero"]
+    for row in listed:
+        unit = "" if row.unit == "1" else " " + row.unit
+        before = f"({source}: {row.prior:.5f} +- {row.prior_std:.5f})"
+        yield f"  {row.name:34s} {row.value:9.5f} +- {row.std:.5f}{unit}   {before}"
+    more = len(estimate.unknowns) - len(listed)
+    if more:
+        yield f"  and {more} more: zeros, encoder errors and links (see --json, --report)"
 
 
 def table_of_checks(checks: Sequence[Any]) -> Table:

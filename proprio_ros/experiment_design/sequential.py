@@ -571,8 +571,8 @@ class Catalogue:
         start = np.array([place.prepared.rest.value for place in places])
         off = q - start[:, None]
         usable = np.array([place.prepared.drive.usable_velocity for place in places])
-        alive = np.isfinite(q) & (np.abs(v) < usable[:, None]) & (np.abs(off) < MAX_TRAVEL)
-        alive = np.cumprod(alive, axis=1).astype(bool)
+        within = np.isfinite(q) & (np.abs(v) < usable[:, None]) & (np.abs(off) < MAX_TRAVEL)
+        alive = np.cumprod(within, axis=1).astype(bool)
         slopes = by_p @ np.array([place.dp + mass * place.dp_per_kg for place in places])
         self._add_ripples(slopes, places, q)
         reading = np.array([place.prepared.sigma[0] for place in places])

@@ -12,9 +12,10 @@ import os
 import re
 import stat
 import warnings
+from collections.abc import Iterable
 from copy import deepcopy
 from functools import lru_cache
-from itertools import accumulate, chain
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -159,17 +160,18 @@ def _parsed(text: str) -> Any:
         if len(above) > DEEPEST:
             raise _Refused(_TOO_DEEP)
         if id(node) not in weights:
-            inner = node.value if isinstance(node, SequenceNode) else ()
-            inner = chain.from_iterable(node.value) if isinstance(node, MappingNode) else inner
-            weights[id(node)] = 1 + sum(weight(part, (*above, id(node))) for part in inner)
+            parts: Iterable[Any] = ()
+            if isinstance(node, SequenceNode):
+                parts = node.value
+            elif isinstance(node, MappingNode):
+                parts = chain.from_iterable(node.value)
+            inside = (*above, id(node))
+            weights[id(node)] = 1 + sum(weight(part, inside) for part in parts)
             if weights[id(node)] > MOST_NODES:
                 raise _Refused(f"its aliases stand for more than {MOST_NODES} values")
         return weights[id(node)]
 
-    # the scanner looks ahead over all brackets of a line, which takes the square of their number
-    depths = accumulate(1 if bracket in "[{" else -1 for bracket in re.findall(r"[][{}]", text))
-    if max(depths, default=0) > 8 * DEEPEST:
-        raise _Refused(_TOO_DEEP)
+    _refuse_deep_brackets(text)
     weights: dict[int, int] = {}
     yaml = YAML(typ="safe", pure=True)
     yaml.Composer = Counting
@@ -187,11 +189,27 @@ def _parsed(text: str) -> Any:
         raise _Refused(_TOO_DEEP) from None
     # a reader of YAML lets whatever its text leads it to through: of dates that are none, of tags that nobody knows
     except Exception as reason:
-        problem = getattr(reason, "problem", None)
-        mark = getattr(reason, "problem_mark", None)
-        where = f", line {mark.line + 1}" if problem and mark is not None else ""
-        words = " ".join(str(problem or reason).split())
-        raise _Refused(one_line(words, 160) + where if words else type(reason).__name__) from reason
+        raise _Refused(_reason_in_words(reason)) from reason
+
+
+def _refuse_deep_brackets(text: str) -> None:
+    """Raise _Refused: The scanner looks ahead over all brackets of a line, which takes the square of their number."""
+    depth = 0
+    for bracket in re.findall(r"[][{}]", text):
+        depth += 1 if bracket in "[{" else -1
+        if depth > 8 * DEEPEST:
+            raise _Refused(_TOO_DEEP)
+
+
+def _reason_in_words(reason: Exception) -> str:
+    """Why a text could not be read, and in which line, as far as the parser says it."""
+    problem = getattr(reason, "problem", None)
+    mark = getattr(reason, "problem_mark", None)
+    words = " ".join(str(problem or reason).split())
+    if not words:
+        return type(reason).__name__
+    where = f", line {mark.line + 1}" if problem and mark is not None else ""
+    return one_line(words, 160) + where
 
 
 def yaml_file(

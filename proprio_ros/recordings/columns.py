@@ -176,16 +176,23 @@ def _named_once(
         alive = [column for column in columns if changing[column]]
         standing = [column for column in columns if keys[column][1] == liveliest]
         chosen = alive or standing or columns
-        first = values[decides][:, chosen[0]]
-        for other in chosen[1:]:
-            both = np.isfinite(first) & np.isfinite(values[decides][:, other])
-            if np.any(first[both] != values[decides][both, other]):
-                raise noted.error(
-                    f" names {name} twice in a message, with different numbers: two publishers were put into one list, and "
-                    "nobody knows which one is the driver's"
-                )
+        if not _alike(values[decides][:, chosen]):
+            raise noted.error(
+                f" names {name} twice in a message, with different numbers: two publishers were put into one list, and "
+                "nobody knows which one is the driver's"
+            )
         taken.append(_fullest(chosen, values))
     return {quantity: table[:, taken] for quantity, table in values.items()}
+
+
+def _alike(columns: FloatArray) -> bool:
+    """Whether all columns, shape (M, C), have the first one's numbers wherever both have one."""
+    first = columns[:, 0]
+    for other in columns.T[1:]:
+        both = np.isfinite(first) & np.isfinite(other)
+        if np.any(first[both] != other[both]):
+            return False
+    return True
 
 
 def _changes(values: FloatArray) -> bool:

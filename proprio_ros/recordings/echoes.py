@@ -13,6 +13,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import chain, product
 from pathlib import Path
 
 import numpy as np
@@ -90,15 +91,20 @@ def read_echoes(path: Path) -> Echoes:
         _refuse_nameless(header, path)
     notes: list[str] = []
     messages = _messages(lines, header, path, notes)
-    keys = list(dict.fromkeys(key for each in messages for key in each.values))
+    # joint and field of each number, in the order in which they come
+    keys = dict.fromkeys(chain.from_iterable(each.values for each in messages))
     joints = list(dict.fromkeys(joint for joint, _ in keys))
     if all(joint.isdigit() for joint in joints):
         raise RecordingError(only_numbers(some(joints)), path)
-    ordered = [(joint, field) for field in UNITS for joint in joints if (joint, field) in keys]
-    columns = [np.array([each.values.get(key, np.nan) for each in messages]) for key in ordered]
-    headers = [f"{joint}/{field}{UNITS[field]}" for joint, field in ordered]
+    headers = [STAMP]
+    columns = []
+    for field, joint in product(UNITS, joints):
+        key = (joint, field)
+        if key in keys:
+            headers.append(f"{joint}/{field}{UNITS[field]}")
+            columns.append(np.array([each.values.get(key, np.nan) for each in messages]))
     stamps_ns = tuple(each.stamp_ns for each in messages)
-    return Echoes((STAMP, *headers), stamps_ns, tuple(columns), tuple(notes))
+    return Echoes(tuple(headers), stamps_ns, tuple(columns), tuple(notes))
 
 
 def _messages(

@@ -332,41 +332,50 @@ def _stale(
     moved: Sequence[str],
 ) -> Iterator[Finding]:
     """Efforts that are read more seldom than they are published."""
-    if record.reported_effort is None:
+    if record.reported_effort is None or not moved:
         return
-    times_s = times_of(record)
+    step_s = float(np.median(np.diff(times_of(record))))
     slow = {}
     for name in moved:
         column = record.column(name)
-        effort = record.reported_effort[:, column]
-        position = record.position[:, column]
-        if not np.isfinite(effort).all() or np.ptp(effort) == 0.0:
-            continue
-        starts = np.flatnonzero(np.concatenate([[True], np.diff(effort) != 0.0]))
-        ends = np.append(starts[1:], len(effort))
-        # zero is a motor that is off; a controller at its limit repeats that, among many other values
-        least = effort.min()
-        most = effort.max()
-        many = len(np.unique(effort)) > 20
-        seen = [
-            (end - start, len(np.unique(position[start:end])))
-            for start, end in zip(starts, ends, strict=True)
-            if effort[start] != 0.0 and not (many and effort[start] in (least, most))
-        ]
-        if len(seen) < FEW_LEVELS:  # an excitation's constant current, read without noise
-            continue
-        lengths, places = np.array(seen).T
-        by_sample = np.sort(np.repeat(lengths, lengths))
-        typical = int(by_sample[lengths.sum() // 2])
-        # as long as it moves on meanwhile
-        if typical >= STALE_SAMPLES and places[lengths >= typical].mean() > 0.5 * STALE_SAMPLES:
-            slow[name] = typical * float(np.median(np.diff(times_s)))
+        repeated = _repeated_samples(record.reported_effort[:, column], record.position[:, column])
+        if repeated:
+            slow[name] = repeated * step_s
     if slow:
         sentence = (
             f"the effort of {some(slow)} stays the same for {_span(slow, '.2g')} s at a time while it moves, at "
-            f"{1.0 / float(np.median(np.diff(times_s))):.0f} joint states a second: old readings are repeated"
+            f"{1.0 / step_s:.0f} joint states a second: old readings are repeated"
         )
         yield Finding("effort_stale", sentence, tuple(slow), slow)
+
+
+def _repeated_samples(effort: FloatArray, position: FloatArray) -> int:
+    """How many samples in a row an effort usually has the same value in while its joint moves on; 0 where that is no matter.
+
+    Args:
+        effort: Of one joint, shape (T,).
+        position: Of the same, shape (T,) [rad or m].
+    """
+    if not np.isfinite(effort).all() or np.ptp(effort) == 0.0:
+        return 0
+    starts = np.flatnonzero(np.concatenate([[True], np.diff(effort) != 0.0]))
+    ends = np.append(starts[1:], len(effort))
+    level = effort[starts]
+    # zero is a motor that is off; a controller at its limit repeats that, among many other values
+    counts = level != 0.0
+    if len(np.unique(effort)) > 20:
+        counts &= (level != effort.min()) & (level != effort.max())
+    if (
+        np.count_nonzero(counts) < FEW_LEVELS
+    ):  # an excitation's constant current, read without noise
+        return 0
+    lengths = (ends - starts)[counts]
+    stretches = zip(starts[counts], ends[counts], strict=True)
+    places = np.array([len(np.unique(position[start:end])) for start, end in stretches])
+    by_sample = np.sort(np.repeat(lengths, lengths))
+    typical = int(by_sample[lengths.sum() // 2])
+    moves_on = places[lengths >= typical].mean() > 0.5 * STALE_SAMPLES
+    return typical if typical >= STALE_SAMPLES and moves_on else 0
 
 
 def _command_as_effort(recording: Recording) -> Iterator[Finding]:

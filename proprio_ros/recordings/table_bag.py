@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -86,9 +87,13 @@ class TableBag(Bag):
         return cut
 
     def parts(self, states: Topic, most: int) -> list[Span]:
-        times_ns = self._streams[states.name].times_ns - self._streams[states.name].times_ns[0]
-        begins = sorted(set(times_ns[:: -(-len(times_ns) // -(-len(times_ns) // most))].tolist()))
-        return list(zip(begins, [*begins[1:], int(times_ns[-1]) + 1], strict=True))
+        stamps_ns = self._streams[states.name].times_ns
+        times_ns = stamps_ns - stamps_ns[0]
+        count = math.ceil(len(times_ns) / most)
+        length = math.ceil(len(times_ns) / count)
+        begins = sorted(set(times_ns[::length].tolist()))
+        ends = [*begins[1:], int(times_ns[-1]) + 1]
+        return list(zip(begins, ends, strict=True))
 
     def messages(self, topic: Topic, most: int | None = None) -> list[tuple[int, Any]]:
         return []

@@ -13,7 +13,7 @@ import numpy as np
 
 from proprio_ros.quantity import MAD_TO_STD
 from proprio_ros.recordings.medians import running_median
-from proprio_ros.records import BoolArray, FloatArray
+from proprio_ros.records import BoolArray, FloatArray, TimeArray
 
 DENORMAL = 1e-30
 """No current is smaller than this and not zero: such numbers are memory that nobody wrote."""
@@ -175,14 +175,19 @@ def _standing(
             return
         if len(lasts) > 1 and distinct < FEWEST_VALUES:
             return
-        # the stretch that a sample usually lies in; those as long as this one are looked at for themselves
-        others = lasts[lasts < lasts[stretch]]
-        usual = 1.0
-        if len(others):
-            usual = float(np.median(np.repeat(others, others)))
+        # those as long as this one are looked at for themselves
+        usual = _usual_length(lasts[lasts < lasts[stretch]])
         long_enough = lasts[stretch] >= USUAL_TIMES * usual
         if long_enough and np.ptp(position[first:end], axis=0).max() > TURNED_RAD:
             yield first, end
+
+
+def _usual_length(lengths: TimeArray) -> float:
+    """Of the stretch that a sample usually lies in, by the lengths of all of them [samples]; 1 where there is none."""
+    if not len(lengths):
+        return 1.0
+    by_sample = np.repeat(lengths, lengths)
+    return float(np.median(by_sample))
 
 
 def _of_stretches(

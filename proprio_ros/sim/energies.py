@@ -135,15 +135,7 @@ def shear_energy(
     """w of the law and its derivatives: (M,), (M, 9), (M, 9, 9)."""
     flat = f.reshape(-1, 9)
     if law == "linear":
-        strain = 0.5 * (flat + flat @ _TRANSPOSE) - _ONE
-        return (
-            (strain**2).sum(axis=1),
-            2.0 * strain,
-            np.broadcast_to(
-                np.eye(9) + _TRANSPOSE,
-                (len(flat), 9, 9),
-            ),
-        )
+        return _linear_shear_energy(flat)
     ic = (flat**2).sum(axis=1)
     j, by_f, curvature = _determinant(f)
     by_ic = np.full_like(ic, 0.5)
@@ -163,10 +155,24 @@ def shear_energy(
         by_ic = 0.5 - 0.5 / (ic + 1.0)
     hessian = 2.0 * by_ic[:, None, None] * np.eye(9) + by_j[:, None, None] * curvature
     if law == "warp_compat":
-        hessian += (2.0 / (ic + 1.0) ** 2)[:, None, None] * (flat[:, :, None] * flat[:, None, :])
+        by_ic_ic = 2.0 / (ic + 1.0) ** 2
+        hessian += by_ic_ic[:, None, None] * _squares(flat)
     else:
-        hessian += by_jj[:, None, None] * (by_f[:, :, None] * by_f[:, None, :])
-    return w, 2.0 * by_ic[:, None] * flat + by_j[:, None] * by_f, hessian
+        hessian += by_jj[:, None, None] * _squares(by_f)
+    gradient = 2.0 * by_ic[:, None] * flat + by_j[:, None] * by_f
+    return w, gradient, hessian
+
+
+def _linear_shear_energy(flat: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """As `shear_energy`, of the linear law and with deformations of shape (M, 9)."""
+    strain = 0.5 * (flat + flat @ _TRANSPOSE) - _ONE
+    hessian = np.broadcast_to(np.eye(9) + _TRANSPOSE, (len(flat), 9, 9))
+    return (strain**2).sum(axis=1), 2.0 * strain, hessian
+
+
+def _squares(rows: np.ndarray) -> np.ndarray:
+    """Outer product of each row with itself, shape (M, 9, 9)."""
+    return rows[:, :, None] * rows[:, None, :]
 
 
 def volume(

@@ -193,6 +193,23 @@ def box(
     Raises `ConfigurationError`: A size or number that makes no mesh.
     """
     size = np.asarray(size, dtype=np.float64)
+    _refuse_no_box(size, cells)
+    corner = -0.5 * size if corner is None else np.asarray(corner, dtype=np.float64)
+    nodes = np.array([int(n) + 1 for n in cells])
+    points = corner + _places(nodes) / (nodes - 1.0) * size
+    strides = np.array([nodes[1] * nodes[2], nodes[2], 1])
+    origins = _places(nodes - 1)  # of the cells, (C, 3)
+    tets = np.empty((len(origins), 5, 4), dtype=np.int64)
+    for parity in (0, 1):
+        mine = origins.sum(axis=1) % 2 == parity
+        corners = origins[mine][:, None, None, :] + _tetrahedra_of_cell(parity)
+        tets[mine] = corners @ strides
+    cell_of_tet = np.repeat(np.arange(len(origins)), 5)
+    return TetMesh(points, _oriented(points, tets.reshape(-1, 4)), cell_of_tet)
+
+
+def _refuse_no_box(size: np.ndarray, cells: tuple[int, int, int]) -> None:
+    """Raise ConfigurationError: A size or number that makes no mesh."""
     if size.shape != (3,) or not np.isfinite(size).all() or (size <= 0.0).any():
         raise ConfigurationError(
             f"block.size={size.tolist()} is no box: give three edges above zero, in metres"
@@ -201,31 +218,22 @@ def box(
         raise ConfigurationError(
             f"a block cannot have {list(cells)} cells: give three whole numbers from 1 to {MAX_CELLS}"
         )
-    corner = -0.5 * size if corner is None else np.asarray(corner, dtype=np.float64)
-    nodes = np.array([int(n) + 1 for n in cells])
-    index, origins = (np.array(list(product(*map(range, counts)))) for counts in (nodes, nodes - 1))
-    points = corner + index / (nodes - 1.0) * size
-    strides = np.array([nodes[1] * nodes[2], nodes[2], 1])
 
-    corners = np.array(list(product((0, 1), repeat=3)))
-    tets = np.empty(
-        (len(origins), 5, 4),
-        dtype=np.int64,
-    )
-    for parity in (0, 1):
-        mine = origins.sum(axis=1) % 2 == parity
-        even = corners.sum(axis=1) % 2 == parity
-        split = [corners[even]]
-        for tip in corners[~even]:
-            split.append(
-                np.array(
-                    [tip, *(np.where(np.arange(3) == axis, 1 - tip, tip) for axis in range(3))]
-                )
-            )
-        tets[mine] = (origins[mine][:, None, None, :] + np.array(split)) @ strides
-    return TetMesh(
-        points, _oriented(points, tets.reshape(-1, 4)), np.repeat(np.arange(len(origins)), 5)
-    )
+
+def _places(counts: np.ndarray) -> np.ndarray:
+    """Indices of a grid with so many along each axis, the last one fastest, shape (N, 3)."""
+    return np.array(list(product(*map(range, counts))))
+
+
+def _tetrahedra_of_cell(parity: int) -> np.ndarray:
+    """The five of a cell, by the corners of the unit cube, shape (5, 4, 3): one inside, and one at each corner that it leaves."""
+    corners = _places(np.array([2, 2, 2]))
+    inner = corners.sum(axis=1) % 2 == parity
+    split = [corners[inner]]
+    for tip in corners[~inner]:
+        neighbours = np.abs(tip - np.eye(3, dtype=np.int64))  # along each axis
+        split.append(np.vstack([tip, neighbours]))
+    return np.array(split)
 
 
 def read_mesh(path: Path, scale: float = 1.0) -> TetMesh:

@@ -117,9 +117,12 @@ class Elastic:
         u, first, second = bulk_energy(self.law, self._cell_mean(j))
         push = lam * first[self._cells]
         volumes = self.mesh.volumes[:, None]
-        energy = mu * float(self.mesh.volumes @ w) + lam * float(self._cell_volumes @ u)
-        force = self._gather(volumes * (mu * by_f + push[:, None] * j_by_f))
-        local = volumes[:, :, None] * (mu * tangent + push[:, None, None] * j_curvature)
+        of_shear = mu * float(self.mesh.volumes @ w)
+        energy = of_shear + lam * float(self._cell_volumes @ u)
+        stress = mu * by_f + push[:, None] * j_by_f  # (M, 9)
+        force = self._gather(volumes * stress)
+        by_stretch = mu * tangent + push[:, None, None] * j_curvature  # (M, 9, 9)
+        local = volumes[:, :, None] * by_stretch
         blocks = np.swapaxes(self._by_corner, 1, 2) @ local @ self._by_corner
         values = np.bincount(
             self._slots,
@@ -135,7 +138,8 @@ class Elastic:
             (len(self._cell_volumes), shape[0]),
         )
         weights = lam * second * self._cell_volumes
-        return energy, force, (stiffness + by_x.T @ by_x.multiply(weights[:, None]).tocsr()).tocsc()
+        of_cells = by_x.T @ by_x.multiply(weights[:, None]).tocsr()
+        return energy, force, (stiffness + of_cells).tocsc()
 
     def least_j(self, points: np.ndarray) -> float:
         """Smallest volume of a tetrahedron relative to that at rest."""

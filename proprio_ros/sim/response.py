@@ -19,6 +19,7 @@ import os
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from functools import cache, cached_property
+from itertools import product
 from pathlib import Path
 from zipfile import BadZipFile
 
@@ -79,21 +80,18 @@ class Response:
         )
         at_s, rows, by_s, beyond_s = self._place(s, 0)
         at_nu, columns, by_nu, beyond_nu = self._place(nu, 1)
-        values = np.zeros((4, *s.shape))
-        for i, j in ((0, 0), (0, 1), (1, 0), (1, 1)):
+        phi, slope, slope_nu, both = np.zeros((4, *s.shape))
+        for i, j in product((0, 1), repeat=2):
             node = self.nodes[rows + i, columns + j]
-            for a, b in ((0, 0), (1, 0), (0, 1), (1, 1)):
+            for b, a in product((0, 1), repeat=2):
                 corner = node[..., a + 2 * b]
-                values[0] += corner * at_s[i][a] * at_nu[j][b]
-                values[1] += corner * by_s[i][a] * at_nu[j][b]
-                values[2] += corner * at_s[i][a] * by_nu[j][b]
-                values[3] += corner * by_s[i][a] * by_nu[j][b]
-        phi, slope, slope_nu, both = values
-        return (
-            phi + slope * beyond_s + slope_nu * beyond_nu + both * beyond_s * beyond_nu,
-            slope + both * beyond_nu,
-            slope_nu + both * beyond_s,
-        )
+                phi += corner * at_s[i][a] * at_nu[j][b]
+                slope += corner * by_s[i][a] * at_nu[j][b]
+                slope_nu += corner * at_s[i][a] * by_nu[j][b]
+                both += corner * by_s[i][a] * by_nu[j][b]
+        # beyond the table's end it goes on straight
+        beyond = phi + slope * beyond_s + slope_nu * beyond_nu + both * beyond_s * beyond_nu
+        return beyond, slope + both * beyond_nu, slope_nu + both * beyond_s
 
     def _place(
         self,

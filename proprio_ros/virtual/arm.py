@@ -285,6 +285,6 @@ class VirtualArm:
         self._arm_dofs = np.array(list(dofs.values()))
         slides = [name for name in self.joints if robot.model.joint(name).kind == "prismatic"]
         self._finger_joint = slides[0] if slides else ""
-        self.finger = dofs[slides[0]] if slides else None
+        self.finger = dofs.get(self._finger_joint)
         followers = [joint.mimic[0] for joint in moving if joint.mimic is not None]
         self.fingers = 1 + followers.count(self._finger_joint)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import math
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -207,22 +208,31 @@ def evenly(items: Sequence[Any], most: int) -> list[Any]:
 
 def periods_of(stamps: Sequence[int | None]) -> list[tuple[str, float, list[int]]]:
     """Name, place on the axis and numbers of the episodes of each period, by when each was recorded [ns]; None: not known."""
-    if any(stamp is None for stamp in stamps) or not stamps:
-        size = max(1, -(-len(stamps) // MOST_GROUPS))
-        groups = [
-            list(range(at, min(at + size, len(stamps)))) for at in range(0, len(stamps), size)
-        ]
-        return [(f"{group[0]} to {group[-1]}", float(group[0]), group) for group in groups]
-    days = [int(stamp or 0) // DAY_NS for stamp in stamps]
+    known = [stamp for stamp in stamps if stamp is not None]
+    if len(known) < len(stamps) or not stamps:
+        return _groups_in_order(len(stamps))
+    days = [stamp // DAY_NS for stamp in known]
     first = min(days)
     length = 1 if max(days) - first < LONGEST_DAYS else 7
     found: dict[int, list[int]] = {}
     for place, day in enumerate(days):
         found.setdefault((day - first) // length * length, []).append(place)
     begin = datetime.fromtimestamp(first * 86400, timezone.utc)
-    return [
-        (f"{begin + timedelta(days=at):%Y-%m-%d}", float(at), found[at]) for at in sorted(found)
-    ]
+    periods = []
+    for at in sorted(found):
+        date = begin + timedelta(days=at)
+        periods.append((f"{date:%Y-%m-%d}", float(at), found[at]))
+    return periods
+
+
+def _groups_in_order(count: int) -> list[tuple[str, float, list[int]]]:
+    """As `periods_of`, of so many episodes of which nobody knows when they were recorded."""
+    size = max(1, math.ceil(count / MOST_GROUPS))
+    groups = []
+    for begin in range(0, count, size):
+        group = list(range(begin, min(begin + size, count)))
+        groups.append((f"{group[0]} to {group[-1]}", float(begin), group))
+    return groups
 
 
 @one_blas_thread

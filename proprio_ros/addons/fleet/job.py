@@ -382,11 +382,9 @@ def _reports(
     rows = [row for row in rows if row["kind"] not in (GRASP, FAILED)]
     first = odd(rows)
     known = {named(row) for row in first}
-    chosen = (first + [row for row in rows if named(row) not in known])[:most]
-    places = {
-        named(row): f"reports/{hashlib.sha256(named(row).encode()).hexdigest()[:16]}.html"
-        for row in chosen
-    }
+    others = [row for row in rows if named(row) not in known]
+    chosen = [*first, *others][:most]
+    places = {named(row): _place_of_page(named(row)) for row in chosen}
     kept = {name for name, place in places.items() if (folder / place).exists()}
     missing = [row for row in chosen if named(row) not in kept]
     if missing:
@@ -397,16 +395,22 @@ def _reports(
         name = named(row)
         options = replace(job.options, span=span_of(row))
         work.append((name, path_of(row), options, folder / places[name]))
-
     if len(work) > MOST_REPORTS:
         with pool_of(processes) as pool:
-            written = list(pool.map(_write_page, *zip(*work, strict=True)))
+            problems = list(pool.map(_write_page, *zip(*work, strict=True)))
     else:
-        written = [_write_page(*one) for one in work]
-    lost = {name: why for (name, *_), why in zip(work, written, strict=True) if why}
-    for name, why in lost.items():
-        tell(f"{name} has no page: {why}")
-    return {name: place for name, place in places.items() if name not in lost}
+        problems = [_write_page(*one) for one in work]
+    for (name, *_), why in zip(work, problems, strict=True):
+        if why:
+            tell(f"{name} has no page: {why}")
+            del places[name]
+    return places
+
+
+def _place_of_page(name: str) -> str:
+    """Of a row's page in the folder, by what `named` calls the row."""
+    digest = hashlib.sha256(name.encode()).hexdigest()
+    return f"reports/{digest[:16]}.html"
 
 
 def _write_page(name: str, path: str, options: Options, place: Path) -> str:

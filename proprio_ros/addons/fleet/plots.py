@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from datetime import datetime, timezone
 
@@ -19,7 +20,7 @@ SHORTEST_NS = 60 * 10**9
 
 def values_figure(own: Sequence[Row], name: str) -> str:
     """Of one source; ``number`` of a row is kept for the script that opens the row of a dot."""
-    own = own[:: -(-len(own) // MOST_POINTS)]
+    own = own[:: math.ceil(len(own) / MOST_POINTS)]
     x, axis = _over_time(own)
     factor, unit = shown_unit(own[0]["unit"])
     value = factor * np.array([row["value"] for row in own], dtype=float)
@@ -36,9 +37,11 @@ def values_figure(own: Sequence[Row], name: str) -> str:
         ("accepted", "agreeing", inside & accepted),
     ):
         if mask.any():
-            series.append(Series("", np.repeat(x[mask], 2), ends[mask].ravel(), color, "pairs"))
+            intervals = ends[mask].ravel()
+            series.append(Series("", np.repeat(x[mask], 2), intervals, color, "pairs"))
             series.append(Series(words, x[mask], value[mask], color, "dots"))
-            dots.append(",".join(str(own[row]["number"]) for row in np.flatnonzero(mask).tolist()))
+            numbers = [str(own[row]["number"]) for row in np.flatnonzero(mask).tolist()]
+            dots.append(",".join(numbers))
     title = own[0]["quantity"].replace("_", " ") + f" ({unit})" * bool(unit)
     caption = f"{name}: dots with their 95 % intervals"
     if not inside.all():

@@ -316,12 +316,9 @@ class SphereUntilSure(CatalogueChooser):
         seen = self._simulated(problem, columns, sphere_kg)
         off = seen.q - np.array([run.rest.value for run in problem.runs])[:, None]
         fastest = np.array([run.drive.usable_velocity for run in problem.runs])
-        alive = until_broken(
-            np.isfinite(seen.q)
-            & np.isfinite(seen.x).all(axis=2)
-            & (np.abs(seen.v) < fastest[:, None])
-            & (np.abs(off) < MAX_TRAVEL)
-        )
+        finite = np.isfinite(seen.q) & np.isfinite(seen.x).all(axis=2)
+        within = (np.abs(seen.v) < fastest[:, None]) & (np.abs(off) < MAX_TRAVEL)
+        alive = until_broken(finite & within)
         reading_std = np.array([run.sigma[0] for run in problem.runs])
         rows = whitened(seen.dq, seen.v, alive, reading_std, self.robot.stamp_jitter_s)
         # what the container sees of the sphere across the joint's axis, (C, 3, 3)
@@ -331,7 +328,7 @@ class SphereUntilSure(CatalogueChooser):
             rows, variance, self._covariance, "sphere_mass", places
         )
         counted = alive.sum(axis=1)
-        facts = self._search.facts
+        known = [known_until(each, self._search.facts) for each in spreads]
         moved = np.einsum("rij,rtj->rti", across, seen.x - seen.x[:, :1])
         return _SphereForecast(
             self.catalogue.still(pushes[0]).times_s,
@@ -339,7 +336,7 @@ class SphereUntilSure(CatalogueChooser):
             counted,
             stds,
             np.linalg.norm(moved, axis=2),
-            np.minimum([known_until(each, facts) for each in spreads], counted),
+            np.minimum(known, counted),
         )
 
     def _simulated(

@@ -73,13 +73,16 @@ def block_facts(settings: Settings, defaults: Mapping[str, Any]) -> BlockFacts:
     edges = np.array(read("block.size", three, Numbers("", _SIZE, 3, example="[x, y, z] in m")))
     # a block's weight changes its squeeze by less than a thousandth; stated or not, it is not used
     take("mass")
-    law, contact, fingers = (take(name) for name in ("law", "contact", "fingers"))
-    uncertain = (
-        ("gap", "gap_std"),
-        ("poissons_ratio", "poissons_ratio_std"),
-        ("relaxation_s", "relaxation_std_s"),
-        ("loss", "loss_std"),
-    )
-    gap, ratio, relaxation, loss = (Quantity(take(value), take(std)) for value, std in uncertain)
     guessed = ("block.size",) if mesh is None and "block.size" not in settings.taken else ()
-    return BlockFacts(edges, law, contact, fingers, gap, ratio, relaxation, loss, mesh, guessed)
+    return BlockFacts(
+        size=edges,
+        law=take("law"),
+        contact=take("contact"),
+        fingers=take("fingers"),
+        gap=Quantity(take("gap"), take("gap_std")),
+        poissons_ratio=Quantity(take("poissons_ratio"), take("poissons_ratio_std")),
+        relaxation_s=Quantity(take("relaxation_s"), take("relaxation_std_s")),
+        loss=Quantity(take("loss"), take("loss_std")),
+        mesh=mesh,
+        guessed=guessed,
+    )

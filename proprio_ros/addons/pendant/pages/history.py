@@ -118,15 +118,20 @@ def _compare(answers: Sequence[Kept]) -> None:
 
 def _differences(one: dict[str, Any], other: dict[str, Any]) -> list[tuple[str, list[str]]]:
     """What each says, by what it is about."""
-    both = (one, other)
-    numbers = [results.number_of(each) for each in both]
-    used = [each.get("calibration") or {} for each in both]
-    return [
-        ("answer", [number or "no number" for number, _ in numbers]),
-        ("95 % interval", [interval.removeprefix("95 % interval ") for _, interval in numbers]),
-        *((key, [str(each.get(key, "")) for each in both]) for key in COMPARED),
-        ("calibration", [str(each.get("fingerprint", "none"))[:8] for each in used]),
-    ]
+    columns = [_compared(one), _compared(other)]
+    return [(about, [column[about] for column in columns]) for about in columns[0]]
+
+
+def _compared(result: dict[str, Any]) -> dict[str, str]:
+    """What a result says, by what it is about."""
+    number, interval = results.number_of(result)
+    calibration = result.get("calibration") or {}
+    return {
+        "answer": number or "no number",
+        "95 % interval": interval.removeprefix("95 % interval "),
+        **{key: str(result.get(key, "")) for key in COMPARED},
+        "calibration": str(calibration.get("fingerprint", "none"))[:8],
+    }
 
 
 def _apart(one: dict[str, Any], other: dict[str, Any]) -> str:
