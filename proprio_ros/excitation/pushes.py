@@ -32,7 +32,18 @@ class GoalStep:
         guards: Guards,
         words: str,
     ) -> None:
-        """As `check_step`, before anything moves."""
+        """Whether the push is safe, as far as that can be computed before anything moves.
+
+        Args:
+            start: Pose of all driven joints before it [rad or m].
+            sequence: States the clearance.
+            ways: Of the arm.
+            guards: Limits of motion.
+            words: The run, as messages name it.
+
+        Raises:
+            ExcitationError: It is not.
+        """
         check_step(self.run, start, sequence, ways, guards, words)
 
     def named(self, unit: str) -> str:

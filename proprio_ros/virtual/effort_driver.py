@@ -237,6 +237,14 @@ class PositionDriver(EffortDriver):
     def of_parameters(
         cls, robot: Robot, truth: Truth, values: Mapping[str, Any], seed: int
     ) -> EffortDriver:
+        """As `EffortDriver` has it; a goal has one unit.
+
+        Args:
+            robot: As its file states it.
+            truth: What it is really like.
+            values: Of the parameters, by name.
+            seed: Of the noise.
+        """
         return cls(robot, truth, joints=values["controller_joints"], seed=seed)
 
     def _uncommanded(self) -> FloatArray:

@@ -37,11 +37,9 @@ def values_figure(own: Sequence[Row], name: str) -> str:
         ("accepted", "agreeing", inside & accepted),
     ):
         if mask.any():
-            intervals = ends[mask].ravel()
-            series.append(Series("", np.repeat(x[mask], 2), intervals, color, "pairs"))
+            series.append(Series("", np.repeat(x[mask], 2), ends[mask].ravel(), color, "pairs"))
             series.append(Series(words, x[mask], value[mask], color, "dots"))
-            numbers = [str(own[row]["number"]) for row in np.flatnonzero(mask).tolist()]
-            dots.append(",".join(numbers))
+            dots.append(_numbers_of(own, mask))
     title = own[0]["quantity"].replace("_", " ") + f" ({unit})" * bool(unit)
     caption = f"{name}: dots with their 95 % intervals"
     if not inside.all():
@@ -49,6 +47,11 @@ def values_figure(own: Sequence[Row], name: str) -> str:
         caption += f"; {left} that were not accepted lie outside of the picture"
     svg = chart([Panel(title, unit, series, 220.0)], axis, f"Values of {name}")
     return f"<div data-dots='{' '.join(dots)}'>{framed(svg, caption)}</div>"
+
+
+def _numbers_of(rows: Sequence[Row], mask: np.ndarray) -> str:
+    """Numbers of some rows, for the script."""
+    return ",".join(str(rows[place]["number"]) for place in np.flatnonzero(mask).tolist())
 
 
 def _interval(row: Row) -> tuple[float, float]:

@@ -316,9 +316,7 @@ class SphereUntilSure(CatalogueChooser):
         seen = self._simulated(problem, columns, sphere_kg)
         off = seen.q - np.array([run.rest.value for run in problem.runs])[:, None]
         fastest = np.array([run.drive.usable_velocity for run in problem.runs])
-        finite = np.isfinite(seen.q) & np.isfinite(seen.x).all(axis=2)
-        within = (np.abs(seen.v) < fastest[:, None]) & (np.abs(off) < MAX_TRAVEL)
-        alive = until_broken(finite & within)
+        alive = until_broken(_usable(seen, off, fastest[:, None]))
         reading_std = np.array([run.sigma[0] for run in problem.runs])
         rows = whitened(seen.dq, seen.v, alive, reading_std, self.robot.stamp_jitter_s)
         # what the container sees of the sphere across the joint's axis, (C, 3, 3)
@@ -328,7 +326,7 @@ class SphereUntilSure(CatalogueChooser):
             rows, variance, self._covariance, "sphere_mass", places
         )
         counted = alive.sum(axis=1)
-        known = [known_until(each, self._search.facts) for each in spreads]
+        facts = self._search.facts
         moved = np.einsum("rij,rtj->rti", across, seen.x - seen.x[:, :1])
         return _SphereForecast(
             self.catalogue.still(pushes[0]).times_s,
@@ -336,7 +334,7 @@ class SphereUntilSure(CatalogueChooser):
             counted,
             stds,
             np.linalg.norm(moved, axis=2),
-            np.minimum(known, counted),
+            np.minimum([known_until(each, facts) for each in spreads], counted),
         )
 
     def _simulated(
@@ -400,3 +398,15 @@ class SphereUntilSure(CatalogueChooser):
         places = [start_prior(run, self._resting, position).mean for position in (one, other)]
         moved = float(np.linalg.norm(run.across @ (places[1] - places[0])))
         return moved > ROLLED_SHARE * float(self._search.facts.enclosure.room.min())
+
+
+def _usable(seen: _Simulated, off: np.ndarray, fastest: np.ndarray) -> np.ndarray:
+    """Where joint and sphere are known, and the joint neither too fast nor too far, shape (C, T).
+
+    Args:
+        seen: Joint and sphere.
+        off: How far joints have moved [rad or m], shape (C, T).
+        fastest: Speeds that joints may have [rad/s or m/s], shape (C, 1).
+    """
+    known = np.isfinite(seen.q) & np.isfinite(seen.x).all(axis=2)
+    return known & (np.abs(seen.v) < fastest) & (np.abs(off) < MAX_TRAVEL)
