@@ -459,24 +459,21 @@ def test_one_push_in_four_that_came_late_is_left_out_and_said(
 
     The stamps show 80 ms; 15 ms, less than a period of the joint states, only show in what the fit makes of them.
     """
-    folders = sorted(bags.glob("realistic_s00_empty_*_joint[23]"))
-    learnt = calibrate(
-        robot, [LoadedRun(run) for f in folders for run in bag_runs(bag_in(f), Request(robot))]
-    ).calibration
+    empty = []
+    for folder in sorted(bags.glob("realistic_s00_empty_*_joint[23]")):
+        empty += [LoadedRun(run) for run in bag_runs(bag_in(folder), Request(robot))]
+    learnt = calibrate(robot, empty).calibration
     assert learnt is not None
     known = robot.with_calibration(learnt)
-    folders = sorted(bags.glob("realistic_s00_fixed_reference_100g_*"))
-    good, late = (
-        [
-            replace(run, name=f"bag#{first + row}")
-            for row, folder in enumerate(folders)
-            for run in stamped_off(folder, known, off_s)
-        ]
-        for first, off_s in ((1, 0.0), (4, -late_s))
-    )
+    good = []
+    late = []
+    for row, folder in enumerate(sorted(bags.glob("realistic_s00_fixed_reference_100g_*"))):
+        good += [replace(run, name=f"bag#{1 + row}") for run in stamped_off(folder, known, 0.0)]
+        late += [replace(run, name=f"bag#{4 + row}") for run in stamped_off(folder, known, -late_s)]
     assert len(good) == 3
     facts = PayloadFacts(shape=PayloadShape.of("cube", 0.03))
-    alone, beside = (weigh(known, runs, facts) for runs in (good, [*good, late[-1]]))
+    alone = weigh(known, good, facts)
+    beside = weigh(known, [*good, late[-1]], facts)
     assert alone.verdict is beside.verdict is Verdict.ACCEPTED, (alone.reasons, beside.reasons)
     assert beside.values[0].ci95 == pytest.approx(alone.values[0].ci95, rel=1e-6)
     assert abs(beside.values[0].value - 0.1) < 2.0 * beside.values[0].std

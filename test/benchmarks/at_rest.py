@@ -338,12 +338,23 @@ def row(
             accepted += answer.verdict is Verdict.ACCEPTED
             numbers.append((value.value - kg, value.std, *value.ci95, kg))
     off, std, low, high, of = np.array(numbers).T if numbers else np.full((5, 1), np.nan)
+    half = high - off - of
+    holds = (low <= of) & (of <= high)
     results.row(
-        "rest", what=what, held=held, asked=len(answers), given=len(numbers), accepted=accepted, wide=len(numbers) - accepted,
-        rms=1e3 * np.sqrt(np.mean(off**2)), worst=1e3 * np.abs(off).max(), half=1e3 * np.median(high - off - of),
-        hold=int(((low <= of) & (of <= high)).sum()), farthest=np.abs(off / std).max(),
-        **(each_answer(1e3 * off, 1e3 * (high - off - of)) if numbers else {}),
-    )  # fmt: skip
+        "rest",
+        what=what,
+        held=held,
+        asked=len(answers),
+        given=len(numbers),
+        accepted=accepted,
+        wide=len(numbers) - accepted,
+        rms=1e3 * np.sqrt(np.mean(off**2)),
+        worst=1e3 * np.abs(off).max(),
+        half=1e3 * np.median(half),
+        hold=int(holds.sum()),
+        farthest=np.abs(off / std).max(),
+        **(each_answer(1e3 * off, 1e3 * half) if numbers else {}),
+    )
 
 
 if __name__ == "__main__":

@@ -355,6 +355,26 @@ def asked_all(
         yield from pool.map(ask, questions, chunksize=4)
 
 
+def chosen_bends(kinds: Sequence[str], names: Sequence[str] | None) -> dict[str, Bend]:
+    """Bends of some kinds by name, all of them or those that are named."""
+    bends = {name: bend for name, bend in all_bends().items() if bend.kind in kinds}
+    if names is None:
+        return bends
+    return {name: bend for name, bend in bends.items() if name in names}
+
+
+def bases_for(bends: dict[str, Bend], begin: Sequence[str], first: int) -> list[Base]:
+    """Recordings whose names begin in one of some ways, and which one of the bends suits.
+
+    Args:
+        bends: By name.
+        begin: How names may begin.
+        first: Seed of the arms.
+    """
+    named = [base for base in bases(first).values() if base.name.startswith(tuple(begin))]
+    return [base for base in named if any(suited(bend, base) for bend in bends.values())]
+
+
 def main(arguments: Sequence[str] | None = None) -> None:
     """Ask, and keep the tables."""
     parser = parser_of((__doc__ or "").splitlines()[0])
@@ -374,14 +394,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--all", action="store_true", help="print every answer")
     options = parser.parse_args(arguments)
     results = Results(__file__, options.json, arguments)
-    bends = {
-        name: bend
-        for name, bend in all_bends().items()
-        if bend.kind in options.kinds and (options.bends is None or name in options.bends)
-    }
-    chosen = tuple(options.bases or ("",))
-    among = [base for base in bases(options.first).values() if base.name.startswith(chosen)]
-    among = [base for base in among if any(suited(bend, base) for bend in bends.values())]
+    bends = chosen_bends(options.kinds, options.bends)
+    among = bases_for(bends, options.bases or ("",), options.first)
     with tempfile.TemporaryDirectory() as scratch:
         made = options.made or Path(scratch)
         made = made / str(options.first)

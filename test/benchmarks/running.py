@@ -432,16 +432,19 @@ def servos(results: Results, options: Namespace) -> None:
 def _figures(watched: Sequence[tuple[np.ndarray, list[float], int, float]]) -> dict[str, float]:
     rows = np.concatenate([each[0] for each in watched])
     lates = np.concatenate([each[1] for each in watched])
+    noticed = lates[np.isfinite(lates)]
     figures = {
-        "changes": len(lates), "noticed": int(np.isfinite(lates).sum()), "late_s": float(lates[np.isfinite(lates)].max()),
-        "false": sum(each[2] for each in watched), "cpu": max(each[3] for each in watched),
-    }  # fmt: skip
-    for name, those in (("empty", rows[rows[:, 0] == 0.0]), ("held", rows[rows[:, 0] > 0.0])):
-        figures |= {
-            f"{name}_rms": float(1e3 * np.sqrt(np.mean(those[:, 1] ** 2))),
-            f"{name}_half": float(1e3 * np.mean(those[:, 2])),
-            f"{name}_hold": float(100.0 * np.mean(np.abs(those[:, 1]) < those[:, 2])),
-        }
+        "changes": len(lates),
+        "noticed": len(noticed),
+        "late_s": float(noticed.max()),
+        "false": sum(each[2] for each in watched),
+        "cpu": max(each[3] for each in watched),
+    }
+    for name, those in (("empty", rows[:, 0] == 0.0), ("held", rows[:, 0] > 0.0)):
+        _, error_kg, half_kg = rows[those].T
+        figures[f"{name}_rms"] = float(1e3 * np.sqrt(np.mean(error_kg**2)))
+        figures[f"{name}_half"] = float(1e3 * np.mean(half_kg))
+        figures[f"{name}_hold"] = float(100.0 * np.mean(np.abs(error_kg) < half_kg))
     return figures
 
 

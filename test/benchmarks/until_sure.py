@@ -413,17 +413,29 @@ def row(
     answered = [c for c in cases if c.ended_by != "refused"]
     if not answered:
         return
-    error = np.array([c.error for c in answered])
+    error_g = 1e3 * np.array([c.error for c in answered])
+    half_g = 1e3 * np.array([c.half for c in answered])
+    time_s = np.array([c.time_s for c in answered])
+    fixed_s = np.array([c.fixed_s for c in answered])
     never = sum(not c.fixed_reached for c in answered)
     results.row(
-        "until_sure", name=name, answered=len(answered), asked=len(cases), met=100.0 * np.mean([c.met for c in answered]),
-        half=1e3 * np.median([c.half for c in answered]), rms=1e3 * np.sqrt(np.mean(error**2)),
-        hold=100.0 * np.mean([c.holds for c in answered]), time_s=np.median([c.time_s for c in answered]),
-        runs=np.median([c.runs for c in answered]), over_fixed=np.median([c.time_s / c.fixed_s for c in answered]),
-        never=never, never_words=f" (fixed never there: {never})" if never else "",
-        decided_ms=1e3 * max(c.decided_s for c in answered), ends=endings(case.ended_by for case in cases),
-        **each_answer(1e3 * error, [1e3 * c.half for c in answered]),
-    )  # fmt: skip
+        "until_sure",
+        name=name,
+        answered=len(answered),
+        asked=len(cases),
+        met=100.0 * np.mean([c.met for c in answered]),
+        half=np.median(half_g),
+        rms=np.sqrt(np.mean(error_g**2)),
+        hold=100.0 * np.mean([c.holds for c in answered]),
+        time_s=np.median(time_s),
+        runs=np.median([c.runs for c in answered]),
+        over_fixed=np.median(time_s / fixed_s),
+        never=never,
+        never_words=f" (fixed never there: {never})" if never else "",
+        decided_ms=1e3 * max(c.decided_s for c in answered),
+        ends=endings(case.ended_by for case in cases),
+        **each_answer(error_g, half_g),
+    )
 
 
 def endings(ended_by: Iterable[str]) -> str:

@@ -208,23 +208,26 @@ def test_a_guess_that_cannot_be_simulated_costs_everything(problem: Problem) -> 
     assert not gradient[1].any() and np.array_equal(matrix[1], np.eye(u.shape[1]))
 
 
+def correlated_calibration() -> Calibration:
+    """Of two joints, a link, the arm and an encoder, all of which are correlated."""
+    terms = ("torque_constant", "coulomb", "stribeck", "armature")
+    keys = [(term, joint) for joint in ("joint2", "joint3") for term in terms]
+    keys += ["arm_scale", ("link_mass", "link5"), ("ripple_sin", "joint3")]
+    stds = np.array([0.03, 0.01, 0.1, 0.002] * 2 + [0.02, 0.01, 0.001])
+    values = np.array([1.7, 0.05, 0.2, 0.012, 1.75, 0.06, 0.15, 0.014, 1.01, 0.004, 3e-4])
+    count = len(keys)
+    factor = np.eye(count) + 0.3 * np.random.default_rng(2).normal(size=(count, count))
+    covariance = factor @ factor.T
+    variances = np.diag(covariance)
+    covariance *= np.outer(stds, stds) / np.sqrt(np.outer(variances, variances))
+    return Calibration(tuple(keys), values, covariance, 1.0, 2e-4, 1e-3)
+
+
 @pytest.fixture(scope="module")
 def pooled() -> Problem:
     """The payload, a weighed reference and an empty hand in one problem, held joints that yield, under a correlated prior."""
     root = Path(__file__).resolve().parents[2] / "bags"
-    robot = load_robot("open_manipulator_x")
-    keys = [
-        (term, f"joint{n}")
-        for n in (2, 3)
-        for term in ("torque_constant", "coulomb", "stribeck", "armature")
-    ]
-    keys += ["arm_scale", ("link_mass", "link5"), ("ripple_sin", "joint3")]
-    stds = np.array([0.03, 0.01, 0.1, 0.002] * 2 + [0.02, 0.01, 0.001])
-    factor = np.eye(len(keys)) + 0.3 * np.random.default_rng(2).normal(size=(len(keys), len(keys)))
-    covariance = factor @ factor.T
-    covariance *= np.outer(stds, stds) / np.sqrt(np.outer(np.diag(covariance), np.diag(covariance)))
-    values = np.array([1.7, 0.05, 0.2, 0.012, 1.75, 0.06, 0.15, 0.014, 1.01, 0.004, 3e-4])
-    robot = robot.with_calibration(Calibration(tuple(keys), values, covariance, 1.0, 2e-4, 1e-3))
+    robot = load_robot("open_manipulator_x").with_calibration(correlated_calibration())
     loads = {
         "fixed_heavy_cube_23g_joint3_x0": None,
         "fixed_reference_100g_joint3_x1": KnownLoad(0.1, FACTS),

@@ -626,15 +626,17 @@ def test_who_holds_beside_a_moving_joint_is_left_out_as_slowly_compared() -> Non
 
     def span(joint: str, interval: _Interval) -> float:
         rows = (times_ns >= interval.onset_ns) & (times_ns <= interval.end_ns)
-        return float(np.ptp(record.position[rows, record.column(joint)])) if rows.any() else 0.0
+        if not rows.any():
+            return 0.0
+        return float(np.ptp(record.position[rows, record.column(joint)]))
 
     def holds(interval: _Interval) -> bool:
         least = max(MOVING_SPAN, 5.0 * span(interval.joint, interval))
-        return any(
-            span(other.joint, interval) > least
-            for other in intervals
-            if other.onset_ns < interval.end_ns and interval.onset_ns < other.end_ns
-        )
+        for other in intervals:
+            overlap = other.onset_ns < interval.end_ns and interval.onset_ns < other.end_ns
+            if overlap and span(other.joint, interval) > least:
+                return True
+        return False
 
     kept = [interval for interval in intervals if not holds(interval)]
     assert 0 < len(kept) < len(intervals)

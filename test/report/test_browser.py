@@ -316,22 +316,21 @@ def test_values_under_the_pointer_and_a_closer_look(
         POINT.replace("RUN", json.dumps({"time": time_s})),
     )
     assert seen["shown"] and seen["gone"]
-    lines = dict(
-        line.split(": ") for line in seen["words"].replace("\N{MINUS SIGN}", "-").splitlines()[1:]
-    )
-    value, unit = lines["measured"].split()
-    assert float(value) == pytest.approx(run.measured[10], abs=3e-3) and unit == "rad"
-    assert float(lines["simulated"].split()[0]) == pytest.approx(run.simulated[10], abs=3e-3)
-    assert float(lines["current"].split()[0]) == pytest.approx(-0.301, abs=1e-3)
-    assert float(seen["words"].split()[0]) == pytest.approx(time_s, abs=2e-3)
+    time, *lines = seen["words"].replace("\N{MINUS SIGN}", "-").splitlines()
+    words = {}
+    for line in lines:
+        name, said = line.split(": ")
+        words[name] = said.split()
+    assert float(time.split()[0]) == pytest.approx(time_s, abs=2e-3)
+    measured, unit = words["measured"]
+    assert unit == "rad"
+    assert float(measured) == pytest.approx(run.measured[10], abs=3e-3)
+    assert float(words["simulated"][0]) == pytest.approx(run.simulated[10], abs=3e-3)
+    assert float(words["current"][0]) == pytest.approx(-0.301, abs=1e-3)
     assert seen["again"] == seen["before"] != seen["near"]
-    assert [float(label) for label in seen["near"]] == pytest.approx(
-        [0.2, 0.22, 0.24, 0.26, 0.28, 0.3], abs=1e-9
-    )
-    begin, _, length, _ = map(
-        float,
-        seen["zoomed"].split(),
-    )
+    near = [float(label) for label in seen["near"]]
+    assert near == pytest.approx([0.2, 0.22, 0.24, 0.26, 0.28, 0.3], abs=1e-9)
+    begin, _, length, _ = map(float, seen["zoomed"].split())
     assert 0.0 < begin < begin + length < 552.0
 
 

@@ -125,13 +125,9 @@ class Bowl:
         torque = 1.8 * 0.25 - 0.1 * np.cos(q) - 0.2 * np.sin(q)
         inner = -self.loss * u - self.dry * np.tanh(u / FRICTION_SPEED)
         mass = self.mass
-        matrix = np.array(
-            [
-                [0.03 + mass * by_q @ by_q, mass * by_q @ by_x],
-                [mass * by_q @ by_x, mass * by_x @ by_x],
-            ]
-        )
-        right = np.array([torque, mass * inner]) + mass * np.array([by_q @ falling, by_x @ falling])
+        by_both = np.stack([by_q, by_x])  # of the place by q and x, (2, 2)
+        matrix = np.diag([0.03, 0.0]) + mass * by_both @ by_both.T
+        right = np.array([torque, mass * inner]) + mass * by_both @ falling
         a, k = np.linalg.solve(matrix, right)
         return np.array([v, a, u, k])
 

@@ -91,6 +91,21 @@ def test_rows_of_stretches_in_order_and_out_of_it_are_the_same() -> None:
     assert in_order == pytest.approx(shuffled)
 
 
+def _gaps(times_s: np.ndarray, known_s: np.ndarray) -> list[tuple[float, float]]:
+    """Begin and end of each stretch that is too long without anything known [s].
+
+    Args:
+        times_s: Of all samples [s], shape (T,).
+        known_s: Of those that are known [s], shape (K,).
+    """
+    gaps = [(a, b) for a, b in itertools.pairwise(known_s) if b - a > LONGEST_GAP_S]
+    if known_s[0] - times_s[0] > LONGEST_GAP_S:
+        gaps.append((-np.inf, known_s[0]))
+    if times_s[-1] - known_s[-1] > LONGEST_GAP_S:
+        gaps.append((known_s[-1], np.inf))
+    return gaps
+
+
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_windows_across_gaps_are_those_that_overlap_one(seed: int) -> None:
     rng = np.random.default_rng(seed)
@@ -100,18 +115,12 @@ def test_windows_across_gaps_are_those_that_overlap_one(seed: int) -> None:
     motion = Motion("m", ("j",), times_s, np.zeros((600, 1)), current, {}, "measured current")
     evenly_s = np.arange(times_s[0], times_s[-1], 0.01)
     windows = Windows.over(len(evenly_s), 50, 12)
-    known_s = times_s[np.isfinite(current[:, 0])]
-    edges = [(a, b) for a, b in itertools.pairwise(known_s) if b - a > LONGEST_GAP_S]
-    if known_s[0] - times_s[0] > LONGEST_GAP_S:
-        edges.append((-np.inf, known_s[0]))
-    if times_s[-1] - known_s[-1] > LONGEST_GAP_S:
-        edges.append((known_s[-1], np.inf))
-    first_s = evenly_s[windows.starts]
-    last_s = evenly_s[windows.starts + 49]
-    expected = [
-        any(first < b and last > a for a, b in edges)
-        for first, last in zip(first_s, last_s, strict=True)
-    ]
+    gaps_s = _gaps(times_s, times_s[np.isfinite(current[:, 0])])
+    expected = []
+    for start in windows.starts:
+        first_s = evenly_s[start]
+        last_s = evenly_s[start + 49]
+        expected.append(any(first_s < end and last_s > begin for begin, end in gaps_s))
     assert across_gaps(motion, ["j"], evenly_s, windows)[:, 0].tolist() == expected
 
 
