@@ -8,6 +8,7 @@ import numpy as np
 
 from proprio_ros.identification.calibration_estimate import CalibrationEstimate
 from proprio_ros.identification.estimate import Estimate, Verdict
+from proprio_ros.identification.fit import source_label
 from proprio_ros.probes import probe_named
 from proprio_ros.quantity import Z95, shown, spec_for
 
@@ -31,6 +32,22 @@ def interval_of(estimate: Estimate) -> str:
 def refusal_of(estimate: Estimate) -> str:
     """Why there is none."""
     return f"{estimate.verdict.value}: {'; '.join(estimate.reasons) or estimate.values[0].reason}"
+
+
+def limited_by(estimate: Estimate) -> str:
+    """What leaves the interval as wide as it is: the largest sources, until they make more than half of the variance.
+
+    Empty where the estimate has no budget.
+    """
+    whole = sum(std**2 for _, std in estimate.budget)
+    labels: list[str] = []
+    named = 0.0
+    for source, std in sorted(estimate.budget, key=lambda each: each[1], reverse=True):
+        if named > 0.5 * whole:
+            break
+        labels.append(source_label(source))
+        named += std**2
+    return f"what is left is mostly {' and '.join(labels)}" if labels else ""
 
 
 def live_interval(estimate: Estimate) -> tuple[float, float] | None:

@@ -22,7 +22,7 @@ from proprio_ros.experiment_design.until import chosen_known, chosen_refresh
 from proprio_ros.identification.calibration_estimate import CalibrationEstimate
 from proprio_ros.identification.estimate import Estimate, Verdict
 from proprio_ros.inputs.settings import parse_settings
-from proprio_ros.live.answers import interval_of, live_answer, refusal_of
+from proprio_ros.live.answers import interval_of, limited_by, live_answer, refusal_of
 from proprio_ros.live.deadlines import (
     CHECKING,
     CHOOSING,
@@ -185,6 +185,9 @@ class Jobs:
             self._say_again(job, f"{refusal_of(estimate)}; recording: {bag}")
             bag, estimate = self._pushed(job, task)
         by = f"; {job.reason}" if job.reason else ""
+        if job.decisions and job.decisions[-1].ended_by == "worth":
+            limit = limited_by(estimate)
+            by += f"; {limit}" if limit else ""
         by += self._workspace.used
         if task.baseline is not None:
             by += f"; {self._workspace.about_baseline(task.baseline)}"

@@ -2,7 +2,8 @@
 
 Each gripper's hidden numbers (torque constant, friction, armature, delay, encoder errors) are drawn from what its robot file leaves
 open. It calibrates itself by closing and opening with nothing in its hand, and then squeezes three blocks that obey a law in closed
-form, once each, with the shipped sequence. Their size is stated.
+form, once each, with the shipped sequence. Their size is stated; the block in the middle is squeezed once more with `block_size`
+left at its default.
 
     python test/benchmarks/softness_live.py [--seeds 1 16] [--sequence softness] [--json FILE]
 """
@@ -23,6 +24,8 @@ BLOCKS = ((8e3, 0.3), (30e3, 0.13), (150e3, 0.4))
 """Young's modulus [Pa] and Poisson's ratio, as of `squeezes.py`."""
 GAP_M = 0.0005
 SIZE = "[0.03,0.03,0.03]"
+UNSTATED = BLOCKS[1]
+"""The block that is squeezed with its size unstated, too."""
 
 
 def squeezed(seed: int, sequence: str, folder: Path) -> list[dict[str, Any]]:
@@ -34,13 +37,12 @@ def squeezed(seed: int, sequence: str, folder: Path) -> list[dict[str, Any]]:
         folder: For recordings; empty.
 
     Returns:
-        A block each.
+        A squeezed block each.
     """
     from support.simulated_live import running
 
     facts = {
         "robot_sequence": "empty_hand_gripper",
-        "block_size": SIZE,
         "live_period": 0.0,
         "report": False,
     }
@@ -51,30 +53,48 @@ def squeezed(seed: int, sequence: str, folder: Path) -> list[dict[str, Any]]:
         client.hear_less()
         robot = client.asked("/identifier/calibrate_robot")
         print(f"gripper {seed}: {robot.message}", file=sys.stderr, flush=True)
-        for modulus, ratio in BLOCKS:
-            block = f"block:{modulus:g},gap={GAP_M:g},nu={ratio:g}"
-            assert client.set("/virtual", "object", block).successful
-            asked_s = client.clock.now()
-            answer = client.asked("/identifier/calibrate_softness")
-            one: dict[str, Any] = {
-                "seed": seed,
-                "modulus": modulus,
-                "ratio": ratio,
-                "answered": bool(answer.success and client.wait_for(client.final)),
-                "words": answer.message.partition("; recording")[0],
-                "took_s": client.clock.now() - asked_s,
-            }
-            if one["answered"]:
-                final = client.estimates[-1]
-                low, high = json.loads(final["youngs_modulus.ci95"])
-                one |= {
-                    "error": float(final["youngs_modulus"]) / modulus - 1.0,
-                    "half": 0.5 * (high - low) / float(final["youngs_modulus"]),
-                    "holds": bool(low <= modulus <= high),
-                }
+        for block, size in (*((block, SIZE) for block in BLOCKS), (UNSTATED, "")):
+            one = {"seed": seed, "stated": bool(size), **one_block(client, *block, size)}
             print(json.dumps(one), flush=True)
             found.append(one)
     return found
+
+
+def one_block(client: Any, modulus: float, ratio: float, size: str) -> dict[str, Any]:
+    """What came of one block.
+
+    Args:
+        client: Of the nodes; the gripper is calibrated.
+        modulus: Young's, of the block [Pa].
+        ratio: Poisson's, of the block.
+        size: The parameter `block_size`; empty: its default.
+
+    Returns:
+        Whether it was answered, in which words, after how long [s]; of an answer, error and half interval as shares of the
+        modulus, and whether the interval holds.
+    """
+    held = f"block:{modulus:g},gap={GAP_M:g},nu={ratio:g}"
+    assert client.set("/virtual", "object", held).successful
+    assert client.set("/identifier", "block_size", size).successful
+    asked_s = client.clock.now()
+    answer = client.asked("/identifier/calibrate_softness")
+    one: dict[str, Any] = {
+        "modulus": modulus,
+        "ratio": ratio,
+        "answered": bool(answer.success and client.wait_for(client.final)),
+        "words": answer.message.partition("; calibration")[0],
+        "took_s": client.clock.now() - asked_s,
+    }
+    if one["answered"]:
+        final = client.estimates[-1]
+        found = float(final["youngs_modulus"])
+        low, high = json.loads(final["youngs_modulus.ci95"])
+        one |= {
+            "error": found / modulus - 1.0,
+            "half": 0.5 * (high - low) / found,
+            "holds": bool(low <= modulus <= high),
+        }
+    return one
 
 
 def row(results: Results, block: str, asked: Sequence[dict[str, Any]]) -> None:
@@ -115,10 +135,36 @@ def main(arguments: Sequence[str] | None = None) -> int:
             "time": "{time_s:.0f} s",
         },
     )
+    stated = [one for one in found if one["stated"]]
     for modulus, ratio in BLOCKS:
-        of_block = [one for one in found if one["modulus"] == modulus]
+        of_block = [one for one in stated if one["modulus"] == modulus]
         row(results, f"{1e-3 * modulus:g} kPa, {ratio:g}", of_block)
-    row(results, "all", found)
+    row(results, "all", stated)
+    results.table(
+        "size",
+        {
+            "block.size of the block of 30 kPa": "{size}",
+            "answered": "{answered} of {asked}",
+            "half interval: median, widest": "{half:.0f}, {widest:.0f} %",
+            "time": "{time_s:.0f} s",
+        },
+    )
+    for size in ("stated", "left at its default"):
+        of_size = [
+            one
+            for one in found
+            if one["modulus"] == UNSTATED[0] and one["stated"] == (size == "stated")
+        ]
+        halves = [100.0 * one["half"] for one in of_size if one["answered"]]
+        results.row(
+            "size",
+            size=size,
+            asked=len(of_size),
+            answered=len(halves),
+            half=np.median(halves or [np.nan]),
+            widest=np.max(halves or [np.nan]),
+            time_s=np.median([one["took_s"] for one in of_size]),
+        )
     results.keep()
     return 0
 
