@@ -48,6 +48,7 @@ LABELS: Mapping[str, str] = {
     "simulated.blocks": "block, {recordings}",
     "so101.so101": "{held}",
     "so101_differ.so101": "{held}, recordings differ as published",
+    "softness_live.softness_live": "live, {block}",
     "spheres.spheres": "torque {torque:g} mN m, {runs}",
     "squeezes.squeezes": "{kPa:g} kPa, {ratio:g}",
     "whose_calibration_driven.pairs": "{pair}",
@@ -149,7 +150,8 @@ def every_fit() -> list[Fit]:
             continue
         for row in figures.kept(file)["tables"][table]["rows"]:
             other_machine = row.get("right") == "no"
-            if "all" not in (row.get("row"), row.get("asked")) and not other_machine:
+            is_sum = "all" in (row.get("row"), row.get("asked"), row.get("block"))
+            if not is_sum and not other_machine:
                 found += fits_of(name, row)
     return sorted(found, key=lambda fit: -fit.worse_than_needed)
 

@@ -110,6 +110,50 @@ def row(results: Results, block: str, asked: Sequence[dict[str, Any]]) -> None:
     )  # fmt: skip
 
 
+def tell_blocks(results: Results, found: Sequence[dict[str, Any]]) -> None:
+    """The table of the blocks whose size was stated."""
+    results.table(
+        "softness_live",
+        {
+            "block": "{block}",
+            "answered": "{answered} of {asked}",
+            "interval holds": "{hold}",
+            "rms, worst error": "{rms:.1f}, {worst:.1f} %",
+            "half interval: median, widest": "{half:.0f}, {widest:.0f} %",
+            "time": "{time_s:.0f} s",
+        },
+    )
+    for modulus, ratio in BLOCKS:
+        of_block = [one for one in found if one["modulus"] == modulus]
+        row(results, f"{1e-3 * modulus:g} kPa, {ratio:g}", of_block)
+    row(results, "all", found)
+
+
+def tell_sizes(results: Results, found: Sequence[dict[str, Any]]) -> None:
+    """The table of what an unstated size costs."""
+    results.table(
+        "size",
+        {
+            f"block.size of the block of {1e-3 * UNSTATED[0]:g} kPa": "{size}",
+            "answered": "{answered} of {asked}",
+            "half interval: median, widest": "{half:.0f}, {widest:.0f} %",
+            "time": "{time_s:.0f} s",
+        },
+    )
+    for stated, words in ((True, "stated"), (False, "left at its default")):
+        asked = [one for one in found if one["stated"] == stated]
+        halves = [100.0 * one["half"] for one in asked if one["answered"]]
+        results.row(
+            "size",
+            size=words,
+            asked=len(asked),
+            answered=len(halves),
+            half=np.median(halves or [np.nan]),
+            widest=np.max(halves or [np.nan]),
+            time_s=np.median([one["took_s"] for one in asked]),
+        )
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     parser = parser_of(__doc__)
     parser.add_argument("--seeds", type=int, nargs=2, default=(1, 16), metavar=("FIRST", "COUNT"))
@@ -124,47 +168,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     for seed in () if given.kept else range(first, first + count):
         with tempfile.TemporaryDirectory() as folder:
             found += squeezed(seed, given.sequence, Path(folder))
-    results.table(
-        "softness_live",
-        {
-            "block": "{block}",
-            "answered": "{answered} of {asked}",
-            "interval holds": "{hold}",
-            "rms, worst error": "{rms:.1f}, {worst:.1f} %",
-            "half interval: median, widest": "{half:.0f}, {widest:.0f} %",
-            "time": "{time_s:.0f} s",
-        },
-    )
-    stated = [one for one in found if one["stated"]]
-    for modulus, ratio in BLOCKS:
-        of_block = [one for one in stated if one["modulus"] == modulus]
-        row(results, f"{1e-3 * modulus:g} kPa, {ratio:g}", of_block)
-    row(results, "all", stated)
-    results.table(
-        "size",
-        {
-            "block.size of the block of 30 kPa": "{size}",
-            "answered": "{answered} of {asked}",
-            "half interval: median, widest": "{half:.0f}, {widest:.0f} %",
-            "time": "{time_s:.0f} s",
-        },
-    )
-    for size in ("stated", "left at its default"):
-        of_size = [
-            one
-            for one in found
-            if one["modulus"] == UNSTATED[0] and one["stated"] == (size == "stated")
-        ]
-        halves = [100.0 * one["half"] for one in of_size if one["answered"]]
-        results.row(
-            "size",
-            size=size,
-            asked=len(of_size),
-            answered=len(halves),
-            half=np.median(halves or [np.nan]),
-            widest=np.max(halves or [np.nan]),
-            time_s=np.median([one["took_s"] for one in of_size]),
-        )
+    tell_blocks(results, [one for one in found if one["stated"]])
+    tell_sizes(results, [one for one in found if one["modulus"] == UNSTATED[0]])
     results.keep()
     return 0
 
