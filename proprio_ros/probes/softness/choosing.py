@@ -227,12 +227,22 @@ class SqueezesUntilSure(Chooser):
         )
 
     def _alive(self, away: np.ndarray, velocity: np.ndarray, slopes: np.ndarray) -> np.ndarray:
-        """The samples up to which a squeeze stays inside the limits; it ends at the one where it is seen to have gone too far."""
-        transmission = self._usable[0].drive.transmission
+        """The samples up to which a squeeze stays inside the limits; it ends at the one where it is seen to have gone too far.
+
+        Of a squeeze that a stiff block throws back faster than the supply turns the motor none is left: the block drives the motor
+        then, and no law here says which current flows.
+        """
+        drive = self._usable[0].drive
+        transmission = drive.transmission
         close_enough = np.abs(away) * abs(transmission) < self._farthest_m
         holds = np.isfinite(away) & np.isfinite(slopes).all(axis=2) & (np.abs(velocity) < FASTEST)
         holds[:, 1:] &= close_enough[:, :-1]
-        return until_broken(holds)
+        alive = until_broken(holds)
+        back_V = drive.back_emf_V_s_per_rad * np.abs(velocity)
+        thrown = (alive & (back_V > drive.supply_voltage_V)).any(axis=1)
+        if drive.supply_voltage_V > 0.0:
+            alive[thrown] = False
+        return alive
 
     def _promised(
         self,
