@@ -21,6 +21,7 @@ from proprio_ros.experiment_design.choosing import Decision
 from proprio_ros.identification.estimate import Verdict
 from proprio_ros.probes import probe_named
 from proprio_ros.probes.softness import SoftnessJob
+from proprio_ros.probes.softness.choosing import thrown_back
 from proprio_ros.probes.softness.identify import SqueezeOptions, find_softness
 from proprio_ros.probes.softness.problem import BlockFacts
 from proprio_ros.probes.softness.virtual_object import SoftBlock
@@ -171,6 +172,18 @@ def test_without_a_block_no_squeeze_is_sure() -> None:
         find_softness(robot, runs, BlockFacts(np.full(3, EDGE_M))).verdict
         is Verdict.NOT_IDENTIFIABLE
     )
+
+
+def test_no_squeeze_is_chosen_that_a_block_throws_back_faster_than_the_supply_turns_the_motor() -> (
+    None
+):
+    drive = ROBOT.drive_trains[GRIPPER]
+    no_load = drive.supply_voltage_V / drive.back_emf_V_s_per_rad
+    velocity = no_load * np.array([[-0.9, 0.9, 0.0], [-0.9, 1.1, 0.0], [-0.9, 0.9, 1.1]])
+    alive = np.array([[True, True, True], [True, True, True], [True, True, False]])
+    assert thrown_back(velocity, alive, drive).tolist() == [False, True, False]
+    unlimited = replace(drive, supply_voltage_V=0.0)
+    assert not thrown_back(velocity, alive, unlimited).any()
 
 
 def test_the_first_squeeze_is_stated() -> None:

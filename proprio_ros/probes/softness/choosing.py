@@ -32,6 +32,7 @@ from proprio_ros.probes.softness.problem import BlockFacts, SqueezeProblem
 from proprio_ros.quantity import Sought
 from proprio_ros.records import Run
 from proprio_ros.robot import Robot
+from proprio_ros.robot.drive_train import DriveTrain
 from proprio_ros.robot.kinematics import zero_pose
 
 CURRENTS = 10
@@ -229,8 +230,7 @@ class SqueezesUntilSure(Chooser):
     def _alive(self, away: np.ndarray, velocity: np.ndarray, slopes: np.ndarray) -> np.ndarray:
         """The samples up to which a squeeze stays inside the limits; it ends at the one where it is seen to have gone too far.
 
-        Of a squeeze that a stiff block throws back faster than the supply turns the motor none is left: the block drives the motor
-        then, and no law here says which current flows.
+        Of a squeeze that is `thrown_back` none is left.
         """
         drive = self._usable[0].drive
         transmission = drive.transmission
@@ -238,10 +238,7 @@ class SqueezesUntilSure(Chooser):
         holds = np.isfinite(away) & np.isfinite(slopes).all(axis=2) & (np.abs(velocity) < FASTEST)
         holds[:, 1:] &= close_enough[:, :-1]
         alive = until_broken(holds)
-        back_V = drive.back_emf_V_s_per_rad * np.abs(velocity)
-        thrown = (alive & (back_V > drive.supply_voltage_V)).any(axis=1)
-        if drive.supply_voltage_V > 0.0:
-            alive[thrown] = False
+        alive[thrown_back(velocity, alive, drive)] = False
         return alive
 
     def _promised(
@@ -307,6 +304,22 @@ class SqueezesUntilSure(Chooser):
             from_here=(),
             home=dict(run.start),
         )
+
+
+def thrown_back(velocity: np.ndarray, alive: np.ndarray, drive: DriveTrain) -> np.ndarray:
+    """Which squeezes a stiff block throws back faster than the supply turns the motor, shape (C,).
+
+    The block drives the motor then, and no law here says which current flows.
+
+    Args:
+        velocity: Of the motor's shaft [rad/s], shape (C, T).
+        alive: Which samples will be recorded, shape (C, T).
+        drive: Of the gripper; a supply of 0 V limits nothing.
+    """
+    back_V = drive.back_emf_V_s_per_rad * np.abs(velocity)
+    if drive.supply_voltage_V == 0.0:
+        return np.zeros(len(velocity), bool)
+    return np.asarray((alive & (back_V > drive.supply_voltage_V)).any(axis=1))
 
 
 def _carried_over(fit: FitResult, problem: SqueezeProblem) -> np.ndarray:
