@@ -432,7 +432,10 @@ def _masses(text: str) -> list[float]:
         raise ConfigurationError(
             f"--mass {text}: write one mass in kg, or lightest..heaviest, e.g. 0.01..0.2"
         )
-    return ends if len(ends) == 1 else [ends[0], (ends[0] * ends[1]) ** 0.5, ends[1]]
+    if len(ends) == 1:
+        return ends
+    lightest, heaviest = ends
+    return [lightest, (lightest * heaviest) ** 0.5, heaviest]
 
 
 def _leave_at_once(_number: int, _frame: Any) -> NoReturn:

@@ -147,11 +147,13 @@ class Search:
         kept = self._found.setdefault((plan.joint, plan.kind), [])
         axes = self._axes[plan.joint].items()
         reach = {name: NEAR * (axis[1] - axis[0]) for name, axis in axes}
-        near = [
-            b
-            for b in kept
-            if all(abs(b.plan.start[name] - plan.start[name]) < far for name, far in reach.items())
-        ]
+
+        def is_near(other: ExcitationPlan) -> bool:
+            return all(
+                abs(other.start[name] - plan.start[name]) < far for name, far in reach.items()
+            )
+
+        near = [best for best in kept if is_near(best.plan)]
         if any(best.score <= score for best in near):
             return
         if near:  # a descent goes on from there

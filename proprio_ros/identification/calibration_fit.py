@@ -433,6 +433,5 @@ def spread_of_runs(file_std: float, found: np.ndarray, learnt: np.ndarray) -> fl
         learnt: How much of it each determines rather than its prior (0 to 1), shape (R,).
     """
     prior = PSEUDO_RUNS * file_std**2
-    return float(
-        np.sqrt((np.sum(found**2) + prior) / (max(float(learnt.sum()), 0.0) + PSEUDO_RUNS))
-    )
+    runs = max(float(learnt.sum()), 0.0) + PSEUDO_RUNS
+    return float(np.sqrt((np.sum(found**2) + prior) / runs))

@@ -334,9 +334,10 @@ def _samples_late(run: Run, samples: int) -> int:
 
 def rank_correlation(one: np.ndarray, other: np.ndarray) -> float:
     """Spearman's, shape (K,) each, which single outliers hardly change; 0 where one of the two stands still."""
-    ranks = [_ranks(values) for values in (one, other)]
-    lengths = [float(np.linalg.norm(each)) for each in ranks]
-    return float(ranks[0] @ ranks[1]) / (lengths[0] * lengths[1]) if min(lengths) > 0.0 else 0.0
+    first = _ranks(one)
+    second = _ranks(other)
+    size = float(np.linalg.norm(first)) * float(np.linalg.norm(second))
+    return float(first @ second) / size if size > 0.0 else 0.0
 
 
 def _ranks(values: np.ndarray) -> np.ndarray:

@@ -427,11 +427,8 @@ def cma(
         path_costs.append(path_cost)
     # a search that ends early stays where it ended
     length = max(len(path) for path in paths)
-    padded = np.array([path + [path[-1]] * (length - len(path)) for path in paths]).transpose(
-        1, 0, 2
-    )
-    costs = [c + [c[-1]] * (length - len(c)) for c in path_costs]
-    padded_cost = np.array(costs).T
+    padded = np.array([_lengthened(path, length) for path in paths]).transpose(1, 0, 2)
+    padded_cost = np.array([_lengthened(cost, length) for cost in path_costs]).T
     return Solution(
         padded[-1],
         padded_cost[-1],
@@ -439,3 +436,8 @@ def cma(
         padded_cost,
         length - 1,
     )
+
+
+def _lengthened(values: list[Any], length: int) -> list[Any]:
+    """The same with the last one again and again, up to a length."""
+    return values + [values[-1]] * (length - len(values))

@@ -190,7 +190,8 @@ def driven_beyond(
         chi2, values, stds = _fitted(columns, position[:count], weight[:count])
         if chi2 / scatter > count - 5 + SURE:
             return None
-        if np.sign(change) * values[-1] + 3.0 * np.sqrt(scatter) * stds[-1] < SHARE * abs(change):
+        most = np.sign(change) * values[-1] + 3.0 * np.sqrt(scatter) * stds[-1]
+        if most < SHARE * abs(change):
             return float(times_s[count - 1]) - run.run.duration_s
     return None
 

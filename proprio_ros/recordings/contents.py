@@ -180,7 +180,8 @@ def points_in(bag: Bag, topic: str, option: str) -> PointTrack:
             f"{topic} holds points without a stamp: they cannot be laid beside the joint states",
             bag.path,
         )
-    points = np.array([[at.x, at.y, at.z] for at in (message.point for message in messages)])
+    seen = [message.point for message in messages]
+    points = np.array([[at.x, at.y, at.z] for at in seen])
     return PointTrack.of_seen(stamps, points)
 
 

@@ -54,6 +54,7 @@ def repeated(
 def _alike(rows: FloatArray) -> BoolArray:
     """Which rows of numbers, shape (T, N), are those of the row before, shape (T,)."""
     alike = np.zeros(len(rows), dtype=bool)
-    same = (rows[1:] == rows[:-1]) | (np.isnan(rows[1:]) & np.isnan(rows[:-1]))
+    unknown = np.isnan(rows)
+    same = (rows[1:] == rows[:-1]) | (unknown[1:] & unknown[:-1])
     alike[1:] = np.all(same, axis=1)
     return alike

@@ -278,7 +278,8 @@ def _in_the_order(
     numbers = sorted({header.number or 0 for _, header in numbered})
     names = f"{numbered[0][1].text} .. {numbered[-1][1].text}"
     order = given.order
-    if numbers[0] not in (0, 1) or numbers != list(range(numbers[0], numbers[0] + len(order))):
+    first = numbers[0]
+    if first not in (0, 1) or numbers != list(range(first, first + len(order))):
         raise given.error(
             f"{names} are {kind.value} of {len(numbers)} joints by number, and the robot has {len(order)} ({', '.join(order)}): "
             "name the joints in the header, or say which they are in columns.yaml (joints: [..])"

@@ -405,7 +405,8 @@ def _date_ns(cell: str) -> int:
     ahead_min = 0
     if zone and zone != "Z":
         digits = zone[1:].replace(":", "")
-        ahead_min = (1 if zone[0] == "+" else -1) * (60 * int(digits[:2]) + int(digits[2:]))
+        minutes = 60 * int(digits[:2]) + int(digits[2:])
+        ahead_min = minutes if zone[0] == "+" else -minutes
     return int(np.datetime64(bare, "ns").astype(np.int64)) - ahead_min * 60 * 10**9
 
 

@@ -70,9 +70,8 @@ class TetMesh:
                 f"tetrahedron {worst} is inside out, or flatter than can be computed with (quality "
                 f"{self.quality[worst]:.2g}, at least {MIN_QUALITY} is needed): mesh the block anew with more regular elements"
             )
-        if len(np.unique(np.round(points / (_FLAT * self.length)).astype(np.int64), axis=0)) < len(
-            points
-        ):
+        places = np.round(points / (_FLAT * self.length)).astype(np.int64)
+        if len(np.unique(places, axis=0)) < len(points):
             raise ConfigurationError(
                 "two nodes of the mesh lie in the same place, a crack: merge duplicate nodes"
             )

@@ -70,7 +70,8 @@ class Elastic:
             count,
             12,
         )
-        pairs = np.repeat(self._rows, 12, axis=1) * self._unknowns + np.tile(self._rows, (1, 12))
+        of_row = np.repeat(self._rows, 12, axis=1) * self._unknowns
+        pairs = of_row + np.tile(self._rows, (1, 12))
         unique, self._slots = np.unique(pairs, return_inverse=True)
         self._slots = self._slots.reshape(-1)
         # symmetric: rows and columns may change places
@@ -348,7 +349,7 @@ def _pin(mesh: TetMesh, held: np.ndarray) -> None:
     """Hold three coordinates so that the block cannot slide or turn along frictionless faces."""
     face = mesh.end(0, False)
     first = face[0]
-    away = mesh.points[face] - mesh.points[first]
-    second = face[np.argmax(np.abs(away[:, 1]) - 10.0 * np.abs(away[:, 2]))]
+    _, across, along = np.abs(mesh.points[face] - mesh.points[first]).T
+    second = face[np.argmax(across - 10.0 * along)]
     held[first, 1:] = True
     held[second, 2] = True

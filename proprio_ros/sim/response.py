@@ -182,7 +182,8 @@ def _tabulate(solver: QuasiStatic, area: float, length: float, made_of: str) -> 
         ratio,
         1,
     )
-    nodes *= np.array([1.0, squeeze[1], ratio[1] - ratio[0], squeeze[1] * (ratio[1] - ratio[0])])
+    ratio_step = ratio[1] - ratio[0]
+    nodes *= np.array([1.0, squeeze[1], ratio_step, squeeze[1] * ratio_step])
     return Response(made_of, squeeze, ratio, nodes)
 
 

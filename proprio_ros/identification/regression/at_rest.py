@@ -305,7 +305,8 @@ def check_carriers(robot: Robot, motions: Sequence[Motion], joints: Sequence[str
             down.append(robot.gravity @ robot.model.frame_transform(base, pose)[:3, :3])
     if not down:
         return
-    away = np.linalg.norm(np.array(down) - down[0], axis=1).max() / np.linalg.norm(robot.gravity)
+    farthest = np.linalg.norm(np.array(down) - down[0], axis=1).max()
+    away = farthest / np.linalg.norm(robot.gravity)
     if names and away > LEANT_RAD:
         raise RecordingError(
             f"{', '.join(names)} carried the arm and leant over by {away:.2g} rad: an arm that hardly moves is weighed where they "

@@ -232,7 +232,8 @@ def _distinct(fit: FitResult) -> list[int]:
         if not np.isfinite(fit.solution.cost[end]) or len(kept) == MOST_ENDS:
             break
         others = masses[kept]
-        if np.all(np.abs(masses[end] - others) > np.maximum(DISTINCT * np.abs(others), 1e-4)):
+        least = np.maximum(DISTINCT * np.abs(others), 1e-4)
+        if np.all(np.abs(masses[end] - others) > least):
             kept.append(int(end))
     return kept or [fit.solution.best]
 

@@ -147,7 +147,8 @@ def _apart(one: dict[str, Any], other: dict[str, Any]) -> str:
         abs(first["value"] - second["value"]),
         spec=spec_for(first["unit"], first["std"]),
     )
-    meet = max(first["ci95"][0], second["ci95"][0]) <= min(first["ci95"][1], second["ci95"][1])
+    lows, highs = zip(first["ci95"], second["ci95"], strict=True)
+    meet = max(lows) <= min(highs)
     return f"{apart} apart; their intervals {'overlap' if meet else 'do not overlap'}."
 
 
