@@ -57,7 +57,6 @@ def several(results: Results, sets: int, rate: float, seconds: float) -> None:
             "cores": "{cores:.1f} of {of}",
             "one set": "{one:.1%} of a core, {one_MB:.0f} MB",
             "`ls` in a shell: median, longest": "{median_s:.2f}, {longest_s:.2f} s",
-            "drivers without warnings": "{well} of {sets}",
         },
     )
     with tempfile.TemporaryDirectory() as folder, contextlib.ExitStack() as ends:
@@ -91,7 +90,6 @@ def several(results: Results, sets: int, rate: float, seconds: float) -> None:
             one_MB=sum(map(resident_MB, processes)) / sets,
             median_s=statistics.median(taken_s),
             longest_s=max(taken_s),
-            well=sum("[WARN]" not in graph.log("driver") for graph in graphs),
         )
 
 
