@@ -39,7 +39,6 @@ def test_every_table_that_says_how_many_hold_is_in_it_or_is_of_recordings_that_a
         "simulated.paper",
         "soak.soak",  # how often nodes answer; `live.live` has how well
         "soak_simulated.soak",
-        "soak_simulated.soak",
         "time_axis.factors",
         "time_axis.machines",
     }
