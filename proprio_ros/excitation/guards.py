@@ -85,38 +85,6 @@ def check_start(sample: JointSample, ways: Ways, guards: Guards) -> None:
             )
 
 
-def check_step(
-    run: ExcitationRun,
-    start: Mapping[str, float],
-    sequence: ExcitationSequence,
-    ways: Ways,
-    guards: Guards,
-    words: str,
-) -> None:
-    """Whether a push by a step of the goal is safe, as far as that can be computed before anything moves.
-
-    Args:
-        run: The push.
-        start: Pose of all driven joints before it [rad or m].
-        sequence: States the clearance.
-        ways: Of the arm.
-        guards: Limits of motion.
-        words: The run, as messages name it.
-
-    Raises:
-        ExcitationError: A servo that goes all the way to its goal leaves its limits, or comes too near to the table.
-    """
-    low, high = ways.limits(run.joint, guards.limit_margin_rad)
-    goal = start[run.joint] + run.goal_step
-    if not low <= goal <= high:
-        limits = f"{low:.3g} .. {high:.3g} (limits less a margin)"
-        remedy = "use a smaller goal_step, or another start"
-        raise ExcitationError(f"{words}: its goal would be {goal:.3g}, outside {limits}; {remedy}")
-    if not ways.clear((start, {**start, run.joint: goal}), sequence.min_clearance_m):
-        near = "on the way to its goal the arm would come too near to the base's plane"
-        raise ExcitationError(f"{words}: {near}; choose a higher pose")
-
-
 @dataclass(frozen=True)
 class FreeResponse:
     """A joint as a pendulum: gravity's moment on it is ``moment_N_m sin(rest - position)``."""

@@ -9,8 +9,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+from proprio_ros.errors import ExcitationError
 from proprio_ros.excitation.commands import Command
-from proprio_ros.excitation.guards import Guards, check_step
+from proprio_ros.excitation.guards import Guards
 from proprio_ros.excitation.plans import ExcitationRun, ExcitationSequence
 from proprio_ros.excitation.ways import Ways
 
@@ -42,9 +43,20 @@ class GoalStep:
             words: The run, as messages name it.
 
         Raises:
-            ExcitationError: It is not.
+            ExcitationError: A servo that goes all the way to its goal leaves its limits, or comes too near to the table.
         """
-        check_step(self.run, start, sequence, ways, guards, words)
+        joint = self.run.joint
+        low, high = ways.limits(joint, guards.limit_margin_rad)
+        goal = start[joint] + self.run.goal_step
+        if not low <= goal <= high:
+            limits = f"{low:.3g} .. {high:.3g} (limits less a margin)"
+            remedy = "use a smaller goal_step, or another start"
+            raise ExcitationError(
+                f"{words}: its goal would be {goal:.3g}, outside {limits}; {remedy}"
+            )
+        if not ways.clear((start, {**start, joint: goal}), sequence.min_clearance_m):
+            near = "on the way to its goal the arm would come too near to the base's plane"
+            raise ExcitationError(f"{words}: {near}; choose a higher pose")
 
     def named(self, unit: str) -> str:
         """What is done to the joint, whose position is in ``unit``."""

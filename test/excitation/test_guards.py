@@ -9,8 +9,9 @@ import pytest
 
 from proprio_ros.errors import ExcitationError
 from proprio_ros.excitation.commands import JointSample
-from proprio_ros.excitation.guards import Guards, check_start, check_step, unfit
+from proprio_ros.excitation.guards import Guards, check_start, unfit
 from proprio_ros.excitation.plans import ExcitationRun, load_sequence
+from proprio_ros.excitation.pushes import GoalStep
 from proprio_ros.excitation.ways import Ways
 from proprio_ros.robot import load_robot
 
@@ -74,7 +75,7 @@ def test_an_arm_may_lean_on_its_stop_and_not_be_beyond_it() -> None:
 
 def test_a_step_of_the_goal_stays_inside_the_limits() -> None:
     run = ExcitationRun("joint3", 0.0, 0.6, goal_step=-0.2)
-    check_step(run, POSE, SEQUENCE, WAYS, Guards(), "run 1")
+    GoalStep(run).check(POSE, SEQUENCE, WAYS, Guards(), "run 1")
     low = {
         **POSE,
         "joint3": ROBOT.model.joint("joint3").lower + 0.1,
@@ -82,4 +83,4 @@ def test_a_step_of_the_goal_stays_inside_the_limits() -> None:
     with pytest.raises(
         ExcitationError, match=r"run 1: its goal would be .*; use a smaller goal_step"
     ):
-        check_step(run, low, SEQUENCE, WAYS, Guards(), "run 1")
+        GoalStep(run).check(low, SEQUENCE, WAYS, Guards(), "run 1")
