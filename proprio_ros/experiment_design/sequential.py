@@ -32,6 +32,7 @@ from proprio_ros.experiment_design.candidates import (
     start_positions,
     still_run,
 )
+from proprio_ros.experiment_design.forecast import until_broken, whitened
 from proprio_ros.experiment_design.predicted_precision import (
     SharedUnknowns,
 )
@@ -572,19 +573,11 @@ class Catalogue:
         off = q - start[:, None]
         usable = np.array([place.prepared.drive.usable_velocity for place in places])
         within = np.isfinite(q) & (np.abs(v) < usable[:, None]) & (np.abs(off) < MAX_TRAVEL)
-        alive = np.cumprod(within, axis=1).astype(bool)
+        alive = until_broken(within)
         slopes = by_p @ np.array([place.dp + mass * place.dp_per_kg for place in places])
         self._add_ripples(slopes, places, q)
         reading = np.array([place.prepared.sigma[0] for place in places])
-        sigma = np.hypot(
-            reading[:, None],
-            np.abs(v) * self.robot.stamp_jitter_s,
-        )
-        slopes = np.where(
-            alive[..., None],
-            slopes / sigma[..., None],
-            0.0,
-        )
+        slopes = whitened(slopes, v, alive, reading, self.robot.stamp_jitter_s)
         size = len(self.keys)
         if is_known:
             known = [at for key, at in self.at.items() if key in PAYLOAD_TERMS]
