@@ -93,7 +93,7 @@ class EffortDriver:
     def of_parameters(
         cls, robot: Robot, truth: Truth, values: Mapping[str, Any], seed: int
     ) -> EffortDriver:
-        """As the virtual node's parameters state it.
+        """As the virtual node's parameters state it; its unit where there is more than one.
 
         Args:
             robot: As its file states it.
@@ -101,8 +101,10 @@ class EffortDriver:
             values: Of the parameters, by name.
             seed: Of the noise.
         """
-        joints = values["controller_joints"]
-        return cls(robot, truth, joints=joints, unit=values["effort_unit"], seed=seed)
+        options: dict[str, Any] = {"joints": values["controller_joints"], "seed": seed}
+        if len(cls.units) > 1:
+            options["unit"] = values["effort_unit"]
+        return cls(robot, truth, **options)
 
     def command(self, now_s: float, efforts: Sequence[float]) -> bool:
         """Take a command; whether it has one finite effort for each of the controller's joints."""
@@ -232,20 +234,6 @@ class PositionDriver(EffortDriver):
         self._effort_per_A = np.full(len(drives), math.nan)  # such a servo knows no effort
         self._begun = self.arm.encoder_rad() * self._transmission
         self._moved = self._begun.copy()
-
-    @classmethod
-    def of_parameters(
-        cls, robot: Robot, truth: Truth, values: Mapping[str, Any], seed: int
-    ) -> EffortDriver:
-        """As `EffortDriver` has it; a goal has one unit.
-
-        Args:
-            robot: As its file states it.
-            truth: What it is really like.
-            values: Of the parameters, by name.
-            seed: Of the noise.
-        """
-        return cls(robot, truth, joints=values["controller_joints"], seed=seed)
 
     def _uncommanded(self) -> FloatArray:
         return self._begun.copy()
