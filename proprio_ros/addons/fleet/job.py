@@ -403,7 +403,7 @@ def _reports(
     for (name, *_), why in zip(work, problems, strict=True):
         if why:
             tell(f"{name} has no page: {why}")
-            del places[name]
+            places.pop(name, None)  # several rows of one recording have one page
     return places
 
 
