@@ -362,15 +362,14 @@ def _repeated_samples(effort: FloatArray, position: FloatArray) -> int:
     ends = np.append(starts[1:], len(effort))
     level = effort[starts]
     # zero is a motor that is off; a controller at its limit repeats that, among many other values
-    counts = level != 0.0
+    read = level != 0.0
     if len(np.unique(effort)) > 20:
-        counts &= (level != effort.min()) & (level != effort.max())
-    if (
-        np.count_nonzero(counts) < FEW_LEVELS
-    ):  # an excitation's constant current, read without noise
+        read &= (level != effort.min()) & (level != effort.max())
+    # fewer are of an excitation's constant current, read without noise
+    if np.count_nonzero(read) < FEW_LEVELS:
         return 0
-    lengths = (ends - starts)[counts]
-    stretches = zip(starts[counts], ends[counts], strict=True)
+    lengths = (ends - starts)[read]
+    stretches = zip(starts[read], ends[read], strict=True)
     places = np.array([len(np.unique(position[start:end])) for start, end in stretches])
     by_sample = np.sort(np.repeat(lengths, lengths))
     typical = int(by_sample[lengths.sum() // 2])
